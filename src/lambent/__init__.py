@@ -1,0 +1,56 @@
+"""Lambent: path-traced pictures made clean, on an ordinary processor.
+
+The verbs and records below are imported when first used: `import lambent` alone loads no
+NumPy, Dr.Jit or OpenEXR, so that scripts and `lambent --help` start at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+# Public name -> module that holds it.
+_PUBLIC = {
+    "denoise": "lambent.denoise.pipeline",
+    "read": "lambent.frame.files",
+    "write": "lambent.frame.files",
+    "Frame": "lambent.frame.frame",
+    "Layer": "lambent.frame.layer",
+    "Role": "lambent.frame.role",
+    "Stat": "lambent.frame.role",
+    "Space": "lambent.frame.role",
+    "Sequence": "lambent.frame.sequence",
+    "Denoiser": "lambent.filters.denoiser",
+    "DENOISERS": "lambent.filters.denoiser",
+    "compare": "lambent.metrics.compare",
+    "explain": "lambent.filters.explain",
+    "LambentError": "lambent.errors",
+}
+
+__all__ = [*_PUBLIC, "__version__"]
+
+if TYPE_CHECKING:
+    from lambent.denoise.pipeline import denoise
+    from lambent.errors import LambentError
+    from lambent.filters.denoiser import DENOISERS, Denoiser
+    from lambent.filters.explain import explain
+    from lambent.frame.files import read, write
+    from lambent.frame.frame import Frame
+    from lambent.frame.layer import Layer
+    from lambent.frame.role import Role, Space, Stat
+    from lambent.frame.sequence import Sequence
+    from lambent.metrics.compare import compare
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'lambent' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,1 @@
+"""Denoising at run time: the pipeline from file to file, tiles, sequences."""

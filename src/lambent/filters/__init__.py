@@ -1,0 +1,1 @@
+"""The classical denoisers, one paper a file, and the registry of all denoisers."""

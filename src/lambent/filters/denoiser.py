@@ -1,0 +1,266 @@
+"""What a denoiser is, and the one registry of them.
+
+A denoiser maps a `Frame` to a `Frame`. Classical filters, networks and OIDN are all of this form;
+other people's packages join through the entry-point group ``lambent.denoisers`` (an entry names a
+subclass of `Denoiser`; see ``docs/plugins.md``).
+
+The generic filter behind most of them is the weighted average
+
+    ĉ_p = Σ_q w_pq c_q,   Σ_q w_pq = 1                                            (1)
+
+whose weights come from the frame (its colour, its features, their variances) and are then applied
+to *every* target layer alike. That is why `Denoiser.filter` gets the targets apart from the frame:
+lighting layers filtered with the weights of the beauty still sum to the beauty, and a delta image
+as a target shows the weights themselves (`lambent.filters.explain`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lambent.errors import LayerError, OptionError, UnknownNameError
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.role import INFO, Role, Stat
+from lambent.registry import Registry
+
+Device = Literal["auto", "cpu", "cuda"]
+
+
+@dataclass(frozen=True)
+class About:
+    """What `lambent models` prints of a denoiser.
+
+    ``needs`` and ``uses``: roles (``"colour"``, ``"colour.variance"``) without which it cannot
+    work, and that it profits from. A need with alternatives is written ``"a|b"``.
+    ``linear``: whether the output is linear in the targets, with weights from the frame alone.
+    ``cost``: in words a person can compare ("441 taps a pixel"). ``when``: when to take it.
+    """
+
+    name: str
+    title: str
+    paper: str
+    needs: tuple[str, ...] = ("colour",)
+    uses: tuple[str, ...] = ()
+    cost: str = ""
+    when: str = ""
+    linear: bool = True
+
+
+class Denoiser:
+    """Base of all denoisers. Subclasses are frozen dataclasses whose fields are the parameters.
+
+    A subclass gives `about`, `filter` and `margin`; `fitted` where something is measured over the
+    whole frame. `__call__` does the rest.
+    """
+
+    about: ClassVar[About]
+
+    # ------------------------------------------------------- for subclasses
+
+    def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
+        """Filter ``targets`` ``(H, W, C)`` float32 with weights found from ``frame``.
+
+        The first three channels of ``targets`` are the beauty when `__call__` asks; a linear
+        denoiser must treat all channels alike. Arguments are never changed.
+        """
+        raise NotImplementedError
+
+    def margin(self) -> int:
+        """Radius in pixels of what a result pixel may depend on: the margin that tiles need."""
+        raise NotImplementedError
+
+    def fitted(self, frame: Frame) -> Denoiser:
+        """A copy whose frame-wide constants (exposure, depth range) are those of ``frame``.
+
+        Called once for a whole frame before it is cut into tiles, so that tiles agree.
+        """
+        return self
+
+    def bytes_per_pixel(self, channels: int) -> int:
+        """Working memory for a pixel with ``channels`` target channels, for choosing tiles."""
+        return 4 * (4 * channels + 64)
+
+    # ------------------------------------------------------------ for users
+
+    def __call__(self, frame: Frame, passes: str | Iterable[str] = "all") -> Frame:
+        """The frame with its beauty and the chosen lighting layers denoised.
+
+        ``passes``: ``"beauty"``, ``"all"`` or names of layers. Variances and half buffers of what
+        was filtered are dropped: they no longer describe it.
+        Raises `LayerError` where the frame lacks what the denoiser needs.
+        """
+        self.check(frame)
+        chosen = choose_passes(frame, passes)
+        stack = np.concatenate([layer.data for layer in chosen], axis=2)
+        cleaned = self.fitted(frame).filter(frame, stack)
+        result, channel = frame, 0
+        for layer in chosen:
+            count = layer.data.shape[2]
+            result = result.with_layer(layer.with_data(cleaned[:, :, channel : channel + count]))
+            channel += count
+        stale = [
+            (layer.role, stat)
+            for layer in chosen
+            for stat in (Stat.VARIANCE, Stat.HALF_A, Stat.HALF_B)
+        ]
+        return result.without(*stale)
+
+    def check(self, frame: Frame) -> None:
+        """Raise `LayerError` unless the frame has everything in ``about.needs``."""
+        from lambent.frame.role import parse_role
+
+        for need in self.about.needs:
+            keys = [parse_role(n) for n in need.split("|")]
+            if not any(frame.has(*key) for key in keys):
+                error = frame.missing(*keys[0])
+                raise LayerError(
+                    f"the model '{self.about.name}' needs {need.replace('|', ' or ')}: "
+                    f"{error.message}",
+                    file=frame.path,
+                    remedy=error.remedy,
+                )
+
+
+def choose_passes(frame: Frame, passes: str | Iterable[str] = "all") -> list[Layer]:
+    """The layers that a choice of passes names, the beauty first.
+
+    Names may be full ("ViewLayer.Diffuse Direct"), the last part ("Diffuse Direct") or a role.
+    Raises `UnknownNameError` for a name that is no layer of radiance in this frame.
+    """
+    beauty = frame.layer(Role.COLOUR)
+    if beauty is None:
+        raise frame.missing(Role.COLOUR)
+    lighting = frame.lighting()
+    alpha = frame.layer(Role.ALPHA)
+    if isinstance(passes, str):
+        if passes == "beauty":
+            return [beauty]
+        if passes == "all":
+            return [beauty, *lighting.values()]
+        passes = [p.strip() for p in passes.split(",") if p.strip()]
+    by_name = dict(lighting)
+    if alpha is not None:
+        by_name["alpha"] = alpha
+    chosen = [beauty]
+    for name in passes:
+        if name in ("beauty", "colour", "color", beauty.name):
+            continue
+        layer = by_name.get(name)
+        if layer is None:
+            low = name.lower()
+            for full, candidate in by_name.items():
+                if low in (full.lower(), full.lower().rsplit(".", 1)[-1], candidate.role.value):
+                    layer = candidate
+                    break
+        if layer is None:
+            known = ["beauty", "all", *by_name]
+            raise UnknownNameError("pass", name, known, file=frame.path)
+        if layer not in chosen:
+            chosen.append(layer)
+    return chosen
+
+
+# ------------------------------------------------------------------ registry
+
+#: Every denoiser by name. An entry is the class; `create` makes an instance.
+DENOISERS = Registry(
+    "model",
+    {
+        "oidn": "lambent.filters.oidn:OIDN",
+        "oidn-balanced": "lambent.filters.oidn:OIDNBalanced",
+        "oidn-fast": "lambent.filters.oidn:OIDNFast",
+        "oidn-best": "lambent.filters.oidn:OIDNBest",
+        "box": "lambent.filters.box:Box",
+        "gaussian": "lambent.filters.gaussian:Gaussian",
+        "bilateral": "lambent.filters.bilateral:Bilateral",
+        "cross-bilateral": "lambent.filters.cross_bilateral:CrossBilateral",
+        "nlm": "lambent.filters.nlm:NonLocalMeans",
+        "joint-nlm": "lambent.filters.nlm:JointNonLocalMeans",
+        "atrous": "lambent.filters.atrous:ATrous",
+        "sbf": "lambent.filters.sbf:SUREFilter",
+        "aaf": "lambent.filters.aaf:AxisAligned",
+        "nfor": "lambent.filters.nfor:NFOR",
+        "statmc": "lambent.filters.statmc:StatMC",
+    },
+    group="lambent.denoisers",
+)
+
+#: What `lambent denoise` takes unless told otherwise.
+DEFAULT_MODEL = "oidn"
+
+
+def parameters(model: str) -> dict[str, tuple[Any, Any]]:
+    """Name -> (type, default) of every parameter of a model."""
+    kind = DENOISERS[model]
+    hints = typing.get_type_hints(kind)
+    return {
+        f.name: (hints[f.name], f.default)
+        for f in dataclasses.fields(kind)
+        if not f.name.startswith("_")
+    }
+
+
+def create(model: str, **options: Any) -> Denoiser:
+    """A denoiser by name, with parameters: ``create("nlm", radius=7)``.
+
+    Values may be strings (from the command line); they are converted to the parameter's type.
+    Raises `UnknownNameError` for an unknown model or parameter, `OptionError` for a bad value.
+    """
+    kind = DENOISERS[model]
+    known = parameters(model)
+    values = {}
+    for name, value in options.items():
+        key = name.replace("-", "_")
+        if key not in known:
+            raise UnknownNameError(f"parameter of '{model}'", name, known)
+        values[key] = _convert(model, key, value, known[key][0])
+    denoiser = kind(**values)
+    assert isinstance(denoiser, Denoiser)
+    return denoiser
+
+
+def _convert(model: str, name: str, value: Any, wanted: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    choices = typing.get_args(wanted)
+    if type(None) in choices:
+        if text.lower() in ("none", "auto"):
+            return None
+        wanted = next(c for c in choices if c is not type(None))
+        choices = typing.get_args(wanted)
+    try:
+        if typing.get_origin(wanted) is Literal:
+            if text not in choices:
+                raise OptionError(
+                    f"'{name}' of '{model}' cannot be '{text}'",
+                    remedy=f"take one of {', '.join(map(str, choices))}",
+                )
+            return text
+        if wanted is bool:
+            return {"1": True, "true": True, "yes": True, "on": True,
+                    "0": False, "false": False, "no": False, "off": False}[text.lower()]
+        if wanted in (int, float):
+            return wanted(text)
+    except (KeyError, ValueError):
+        kind = getattr(wanted, "__name__", str(wanted))
+        raise OptionError(
+            f"'{name}' of '{model}' needs a value of type {kind}, not '{text}'"
+        ) from None
+    return text
+
+
+def guides(frame: Frame) -> list[Layer]:
+    """The feature layers of a frame that filters may look at (means), in order of `Role`."""
+    return [
+        layer
+        for role in Role
+        if INFO[role].guide and (layer := frame.layer(role)) is not None
+    ]

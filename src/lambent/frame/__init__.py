@@ -1,0 +1,1 @@
+"""What a render is: roles, layers, frames, sequences; reading and writing them."""

@@ -1,0 +1,1 @@
+"""Dr.Jit image kernels: arrays in, arrays out."""

@@ -1,0 +1,1 @@
+"""Error measures, one a file."""

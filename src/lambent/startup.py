@@ -1,0 +1,86 @@
+"""Finding LLVM for Dr.Jit, before Dr.Jit looks for it.
+
+Dr.Jit loads LLVM when it is first used, from ``DRJIT_LIBLLVM_PATH`` or the usual system places.
+`engine` looks first at what the user set, then at the wheel ``karellen-llvm-core`` (which puts its
+library into the environment's ``lib`` folder), then leaves the search to Dr.Jit. Without any LLVM
+Lambent says so once and runs on what there is: OIDN needs none.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import sysconfig
+from pathlib import Path
+
+from lambent.errors import EngineError
+
+_LIBRARY = {"darwin": "libLLVM.dylib", "win32": "LLVM-C.dll"}.get(sys.platform, "libLLVM.so")
+
+
+def find_llvm() -> str | None:
+    """The LLVM library to use, or None if only the system's search is left."""
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if chosen:
+        return chosen
+    prefixes = {sys.prefix, sysconfig.get_config_var("prefix") or sys.prefix, sys.exec_prefix}
+    try:  # where pip put the wheel's files (a --user or --target install lies elsewhere)
+        from importlib.metadata import PackageNotFoundError, distribution
+
+        files = distribution("karellen-llvm-core").files or []
+        for file in files:
+            if file.name == _LIBRARY:
+                path = Path(str(file.locate())).resolve()
+                if path.exists():
+                    return str(path)
+    except PackageNotFoundError:
+        pass
+    for prefix in prefixes:
+        path = Path(prefix) / "lib" / _LIBRARY
+        if path.exists():
+            return str(path)
+    return None
+
+
+@functools.lru_cache(maxsize=1)
+def has_llvm() -> bool:
+    """Whether Dr.Jit can compile for the processor. Imports Dr.Jit."""
+    path = find_llvm()
+    if path:
+        os.environ["DRJIT_LIBLLVM_PATH"] = path
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.LLVM))
+
+
+@functools.lru_cache(maxsize=1)
+def has_cuda() -> bool:
+    """Whether Dr.Jit sees a CUDA device."""
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.CUDA))
+
+
+def engine(device: str = "auto") -> str:
+    """The Dr.Jit backend for a device: ``"llvm"`` or ``"cuda"``.
+
+    Raises `EngineError` where the wish cannot be met, with what to install.
+    """
+    if device not in ("auto", "cpu", "cuda"):
+        raise EngineError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+    if device == "cuda":
+        if not has_cuda():
+            raise EngineError(
+                "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
+            )
+        return "cuda"
+    if has_llvm():
+        return "llvm"
+    if device == "auto" and has_cuda():
+        return "cuda"
+    raise EngineError(
+        "no LLVM library was found, which the classical filters are compiled with",
+        remedy="pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM; "
+        "the models named oidn* work without",
+    )
