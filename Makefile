@@ -1,0 +1,61 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+# They need Python >= 3.10 and make; everything else goes into the virtual environment .venv.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+OUT    := out
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check docs bench lock clean
+
+help:  ## list what there is to make
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+demo: $(VENV)/.base  ## clean the example render; writes pictures and a report to out/
+	@mkdir -p $(OUT)
+	$(BIN)/lambent denoise examples/still_life/noisy.exr -o $(OUT)/clean.exr \
+	    --report --preview --overwrite
+	$(BIN)/lambent compare examples/still_life/reference.exr \
+	    examples/still_life/noisy.exr $(OUT)/clean.exr --report $(OUT)/compare.html
+	@echo "Look at $(OUT)/clean.png, and open $(OUT)/clean.html and $(OUT)/compare.html."
+
+test: $(VENV)/.dev  ## run all tests but the slow ones
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+check: $(VENV)/.dev  ## format, lint, types, import contract
+	$(BIN)/ruff format --check src tests benchmarks docs examples
+	$(BIN)/ruff check src tests benchmarks docs examples
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+docs: $(VENV)/.dev  ## build the documentation to docs/_build/html, warnings are errors
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
+lock:  ## renew the lock files (names, versions, hashes)
+	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
+	    --quiet pyproject.toml --extra test --extra docs --extra check -o requirements/dev.lock
+	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
+	    --quiet pyproject.toml -c requirements/dev.lock -o requirements/base.lock
+
+clean:  ## remove what make made
+	rm -rf $(VENV) $(OUT) docs/_build docs/_generated
+
+# ---------------------------------------------------------------- environments
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+	    { echo "Lambent needs Python 3.10 or newer; this is $$($(PYTHON) --version). \
+	Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.base: $(VENV)/bin/python requirements/base.lock pyproject.toml
+	$(PIP) install --require-hashes -r requirements/base.lock
+	$(PIP) install --no-deps -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.base requirements/dev.lock
+	$(PIP) install --require-hashes -r requirements/dev.lock
+	@touch $@
