@@ -1,0 +1,32 @@
+"""Sphinx configuration. Pages that can be derived from the code are generated at build time."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import generate  # noqa: E402
+
+import lambent  # noqa: E402
+
+project = "Lambent"
+author = "The Lambent authors"
+copyright = "2026, the Lambent authors"
+release = lambent.__version__
+version = release
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+source_suffix = {".md": "markdown"}
+exclude_patterns = ["_build", "results/*.json"]
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+html_theme = "furo"
+html_title = "Lambent"
+html_static_path = []
+html_theme_options = {"sidebar_hide_name": False}
+nitpicky = False
+
+generate.everything(HERE / "_generated")

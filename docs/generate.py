@@ -1,0 +1,158 @@
+"""The pages that are derived from the code: one a command, one a denoiser.
+
+A command's page is made from the command line's own definition, a denoiser's from its entry in the
+registry and its docstring; so neither can say anything that the program does not do.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import textwrap
+from pathlib import Path
+from typing import Any
+
+
+def everything(folder: Path) -> None:
+    """Write all generated pages below ``folder``."""
+    _write(folder / "commands.md", commands())
+    for name, page in filters():
+        _write(folder / "filters" / f"{name}.md", page)
+    _write(folder / "filters.md", filter_table())
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists() or path.read_text() != text:
+        path.write_text(text)
+
+
+# ------------------------------------------------------------------ commands
+
+
+def commands() -> str:
+    """One section a command: what it does, its arguments and options."""
+    import click
+    from lambent.cli import command as root_command
+
+    os.environ.setdefault("NO_COLOR", "1")
+    root = root_command()
+    context = click.Context(root, info_name="lambent")
+    out = ["# Commands", "", _prose(root.help), ""]
+    out += ["```{contents}", ":local:", ":depth: 1", "```", ""]
+    for name in root.list_commands(context):
+        command = root.get_command(context, name)
+        assert command is not None
+        sub = click.Context(command, info_name=name, parent=context)
+        usage = command.get_usage(sub).replace("Usage: ", "")
+        out += [f"## lambent {name}", "", _prose(command.help), ""]
+        out += ["```text", " ".join(usage.split()), "```", ""]
+        arguments = [p for p in command.params if p.param_type_name == "argument"]
+        options = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
+        rows = [(f"`{p.make_metavar(sub)}`", getattr(p, "help", "") or "") for p in arguments]
+        rows += [(_option(p, sub), _help(p)) for p in options if p.name != "help"]
+        if rows:
+            out += ["| argument or option | what it does |", "| --- | --- |"]
+            out += [f"| {a} | {_cell(b)} |" for a, b in rows]
+        out += [""]
+    return "\n".join(out)
+
+
+def _option(option: Any, context: Any) -> str:
+    names = ", ".join(f"`{o}`" for o in [*option.opts, *option.secondary_opts])
+    if option.is_flag:
+        return names
+    return f"{names} `{option.make_metavar(context)}`"
+
+
+def _help(option: Any) -> str:
+    text = (option.help or "").strip()
+    default = option.default
+    if option.is_flag or default is None or callable(default) or default in ("", (), []):
+        return text
+    if not isinstance(default, (str, int, float)):
+        return text
+    return text if "default" in text.lower() else f"{text} Default: `{default}`."
+
+
+def _prose(text: str | None) -> str:
+    return inspect.cleandoc(text or "").replace("\b", "").replace("\f", "").strip()
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("|", "\\|").split())
+
+
+# ------------------------------------------------------------------- filters
+
+#: Order of the pages: from the generic filter to what is best.
+ORDER = (
+    "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "sbf", "aaf",
+    "nfor", "statmc", "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
+)  # fmt: skip
+
+
+def _names() -> list[str]:
+    from lambent.filters.denoiser import DENOISERS
+
+    names = list(DENOISERS)
+    return [n for n in ORDER if n in names] + sorted(n for n in names if n not in ORDER)
+
+
+def filter_table() -> str:
+    """The table of all denoisers, and the list of their pages."""
+    from lambent.filters.denoiser import DENOISERS
+
+    out = ["# Denoisers", "", (Path(__file__).parent / "filters" / "intro.md").read_text(), ""]
+    out += ["| model | needs | can use | cost | when |", "| --- | --- | --- | --- | --- |"]
+    for name in _names():
+        about = DENOISERS[name].about
+        needs = ", ".join(about.needs).replace("|", " or ")
+        link = f"[`{name}`](filters/{name}.md)"
+        out.append(f"| {link} | {needs} | {', '.join(about.uses)} | {about.cost} | {about.when} |")
+    out += ["", "```{toctree}", ":hidden:", ""]
+    out += [f"filters/{name}" for name in _names()]
+    out += ["```", ""]
+    return "\n".join(out)
+
+
+def filters() -> list[tuple[str, str]]:
+    """Name and page of every denoiser."""
+    from lambent.filters.denoiser import DENOISERS, parameters
+
+    pages = []
+    pictures = Path(__file__).parent / "pictures"
+    for name in _names():
+        kind = DENOISERS[name]
+        about = kind.about
+        out = [f"# {name}: {about.title}", "", f"*{about.paper}*", ""]
+        out += [f"**When to use it.** {about.when}", ""]
+        picture = pictures / f"filter_{name}.jpg"
+        if picture.exists():
+            out += [f"```{{image}} ../../pictures/{picture.name}",
+                    f":alt: noisy, {name}, reference", "```", ""]  # fmt: skip
+        out += ["| | |", "| --- | --- |"]
+        out += [f"| needs | {', '.join(about.needs).replace('|', ' or ')} |"]
+        out += [f"| can use | {', '.join(about.uses) or 'nothing else'} |"]
+        out += [f"| cost | {about.cost} |"]
+        linear = "yes: lighting layers get the same weights and still sum, and `lambent explain` works"
+        out += [f"| weighted average | {linear if about.linear else 'no'} |", ""]
+        known = parameters(name)
+        if known:
+            out += ["## Parameters", "", "Set with `--set name=value`, or as keyword arguments.", ""]
+            out += ["| parameter | type | default |", "| --- | --- | --- |"]
+            out += [f"| `{p}` | {_type(t)} | `{d}` |" for p, (t, d) in known.items()]
+            out += [""]
+        out += ["## How it works", "", "```text"]
+        module = inspect.getmodule(kind)
+        out += [textwrap.dedent(inspect.getdoc(module) or "").strip(), "```", ""]
+        if kind.__doc__:
+            out += ["## The class", "", f"`{kind.__module__}.{kind.__qualname__}`", "", "```text"]
+            out += [inspect.cleandoc(kind.__doc__), "```", ""]
+        pages.append((name, "\n".join(out)))
+    return pages
+
+
+def _type(kind: Any) -> str:
+    text = getattr(kind, "__name__", None) if isinstance(kind, type) else str(kind)
+    return "`" + str(text).replace("typing.", "").replace("|", "or") + "`"
