@@ -1,0 +1,31 @@
+"""The command line: one file a command; parsing, progress, exit codes. No algorithm lives here.
+
+Reading order: `main` below, `app` (the table of commands, loaded only when asked for), `options`
+(types and completions that several commands share), `progress`, then the commands.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line ``lambent …``; return the exit code.
+
+    0 success; 1 to 5 as in `lambent.errors`; 4 for a wrong option; 130 after Ctrl-C.
+    ``LAMBENT_DEBUG=1`` lets exceptions through with their traceback.
+    """
+    args = list(sys.argv[1:] if argv is None else argv)
+    if args in (["--version"], ["-V"]):  # the fastest answer: before anything is imported
+        from lambent import __version__
+
+        print(f"lambent {__version__}")
+        return 0
+    if args[:1] == ["denoise"] and "--help" not in args and "--dry-run" not in args:
+        from lambent.cli.warmup import start
+
+        start(args)
+    from lambent.cli.app import run
+
+    return run(args)

@@ -1,0 +1,193 @@
+"""The table of commands and the one place where errors become messages and exit codes.
+
+``lambent --help`` prints from this table and imports no command; a command's module is imported
+when that command runs. Typer's own dressing with rich costs 0.1 s at every start and is left off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from lambent.errors import LambentError, OptionError
+
+#: Command -> what `lambent --help` says of it. The module is ``lambent.cli.<command>``.
+COMMANDS = {
+    "denoise": "Clean a noisy render, or a sequence of them.",
+    "inspect": "Show what is in a file: parts, layers, roles, suspicious pixels.",
+    "compare": "Measure images against a reference, as a table or a page.",
+    "explain": "Show the weights with which a filter averages around one pixel.",
+    "models": "List the denoisers: what they need, cost, and which paper they are from.",
+    "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
+}
+
+_EPILOG = (
+    "Exit codes: 0 success, 1 other failure, 2 file, 3 layer, 4 name or option, 5 engine, "
+    "130 interrupted. Begin with: lambent denoise noisy.exr"
+)
+
+
+class LazyCommands(TyperGroup):
+    """A group that knows its commands by name and imports each only to run it."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names, in the order of use."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command, its module imported now; None if there is no such command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"lambent.cli.{cmd_name}")
+        single = typer.Typer(
+            add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
+        )
+        single.command(name=cmd_name, help=module.__doc__, epilog=getattr(module, "EPILOG", None))(
+            getattr(module, cmd_name)
+        )
+        return typer.main.get_command(single)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that the arguments name; an unknown one is answered with the nearest."""
+        if args and not args[0].startswith("-") and args[0] not in COMMANDS:
+            raise _unknown_command(args[0])
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """The list of commands, from the table alone."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def run(args: Sequence[str]) -> int:
+    """Run one command line; print what goes wrong; return the exit code."""
+    as_json = "--json" in args
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = _group().main(list(args), prog_name="lambent", standalone_mode=False)
+        if code == 130:
+            _say_interrupted()
+        return code if isinstance(code, int) else 0
+    except LambentError as error:
+        if _debugging():
+            raise
+        _print_error(error, as_json)
+        return error.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        _say_interrupted()
+        return 130
+    except BrokenPipeError:  # `lambent … | head`: the reader has seen enough
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  stays open until the process ends
+        return 0
+    except Exception as error:
+        if _debugging():
+            raise
+        known = _usage_error(error) or _system_error(error)
+        _print_error(known, as_json)
+        return known.exit_code
+
+
+# ------------------------------------------------------------------- private
+
+
+def _group() -> Any:
+    app = typer.Typer(
+        cls=LazyCommands,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        no_args_is_help=True,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+        epilog=_EPILOG,
+    )
+    app.callback()(_root)
+    return typer.main.get_command(app)
+
+
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", "-V", is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Makes path-traced pictures clean, on an ordinary processor."""
+    if version:
+        from lambent import __version__
+
+        print(f"lambent {__version__}")
+        raise typer.Exit
+
+
+def _unknown_command(name: str) -> OptionError:
+    near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+    if os.path.exists(name):
+        remedy = f"to clean this file: lambent denoise {name}"
+    elif near:
+        remedy = f"did you mean 'lambent {near[0]}'?"
+    else:
+        remedy = f"there are: {', '.join(COMMANDS)}"
+    return OptionError(f"there is no command '{name}'", remedy=remedy)
+
+
+def _usage_error(error: Exception) -> LambentError | None:
+    """Typer's complaint about an option, in our form. (Its class moved between versions.)"""
+    format_message = getattr(error, "format_message", None)
+    if format_message is None:
+        return None
+    context = getattr(error, "ctx", None)
+    where = getattr(context, "command_path", None) or "lambent"
+    text = " ".join(str(format_message()).split()).rstrip(".")
+    return OptionError(text[:1].lower() + text[1:], remedy=f"see {where} --help")
+
+
+def _system_error(error: Exception) -> LambentError:
+    """What no code of ours foresaw, still without a traceback."""
+    if isinstance(error, MemoryError):
+        return LambentError(
+            "the memory is not enough", remedy="give a limit to work within: --max-memory 2G"
+        )
+    return LambentError(
+        f"something unforeseen: {type(error).__name__}: {error}",
+        remedy="LAMBENT_DEBUG=1 shows where; please report it with that output",
+    )
+
+
+def _print_error(error: LambentError, as_json: bool) -> None:
+    if as_json:
+        import json
+
+        print(json.dumps({"error": _as_dict(error)}, indent=2))
+    print(f"error: {error}", file=sys.stderr)
+
+
+def _as_dict(error: LambentError) -> dict[str, Any]:
+    return {
+        "kind": type(error).__name__,
+        "message": error.message,
+        "file": error.file,
+        "layer": error.layer,
+        "remedy": error.remedy,
+        "exit_code": error.exit_code,
+    }
+
+
+def _say_interrupted() -> None:
+    with contextlib.suppress(OSError):
+        print("interrupted: nothing half-written is left behind", file=sys.stderr)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    """SIGTERM unwinds like Ctrl-C, so that temporary files are removed."""
+    raise KeyboardInterrupt
+
+
+def _debugging() -> bool:
+    return os.environ.get("LAMBENT_DEBUG", "") not in ("", "0")

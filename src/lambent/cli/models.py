@@ -1,0 +1,127 @@
+"""List the denoisers: what they need and can use, what they cost, which paper they are from.
+
+With NAME, describe that one: its parameters with their defaults, for --set.
+"""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from typing import Annotated, Any
+
+import typer
+
+from lambent.cli.options import JsonOption, complete_models, print_json
+
+EPILOG = "Other packages can bring more models: see the documentation on plug-ins."
+
+
+def models(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="A model.", autocompletion=complete_models),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.filters.denoiser import DEFAULT_MODEL, DENOISERS
+
+    if name is not None:
+        card = _card(name)
+        print_json(card) if as_json else _print_card(card)
+        return
+    cards = [_card(one) for one in DENOISERS]
+    if as_json:
+        print_json({"default": DEFAULT_MODEL, "models": cards})
+    else:
+        _print_table(cards, DEFAULT_MODEL)
+
+
+# ------------------------------------------------------------------- private
+
+
+def _card(name: str) -> dict[str, Any]:
+    from lambent.filters.denoiser import DENOISERS, parameters
+
+    about = DENOISERS[name].about
+    return {
+        "name": name,
+        "title": about.title,
+        "needs": list(about.needs),
+        "can_use": list(about.uses),
+        "cost": about.cost,
+        "paper": about.paper,
+        "when": about.when,
+        "linear": about.linear,
+        "parameters": [
+            {"name": key, "type": _type_name(kind), "default": _default(default)}
+            for key, (kind, default) in parameters(name).items()
+        ],
+    }
+
+
+def _type_name(kind: Any) -> str:
+    import types
+    import typing
+
+    choices = typing.get_args(kind)
+    if typing.get_origin(kind) is typing.Literal:
+        return "|".join(map(str, choices))
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return "|".join("auto" if c is type(None) else _type_name(c) for c in choices)
+    return getattr(kind, "__name__", str(kind))
+
+
+def _default(value: Any) -> Any:
+    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def _print_table(cards: list[dict[str, Any]], default: str) -> None:
+    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    left = max(len(card["name"]) for card in cards) + 2
+    for card in cards:
+        mark = " (default)" if card["name"] == default else ""
+        _entry(card["name"], f"{card['title']}{mark}. {card['when']}", left, width)
+        needs = "needs " + ", ".join(card["needs"])
+        uses = "; can use " + ", ".join(card["can_use"]) if card["can_use"] else ""
+        cost = f"; {card['cost']}" if card["cost"] else ""
+        _entry("", f"{needs}{uses}{cost}", left, width)
+        _entry("", card["paper"], left, width)
+        print()
+    print("Parameters of one: lambent models NAME")
+
+
+def _print_card(card: dict[str, Any]) -> None:
+    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    print(f"{card['name']}: {card['title']}\n")
+    rows = [
+        ("paper", card["paper"]),
+        ("when", card["when"]),
+        ("needs", ", ".join(card["needs"])),
+        ("can use", ", ".join(card["can_use"]) or "nothing more"),
+        ("cost", card["cost"]),
+        (
+            "layers",
+            "lighting layers get the weights of the beauty, so they still sum"
+            if card["linear"]
+            else "not linear in the colour",
+        ),
+    ]
+    for label, text in rows:
+        if text:
+            _entry(f"  {label}", text, 12, width)
+    if card["parameters"]:
+        print("\nParameters, with their defaults (--set NAME=VALUE):")
+        left = max(len(p["name"]) for p in card["parameters"]) + 4
+        for p in card["parameters"]:
+            shown = "auto" if p["default"] is None else p["default"]
+            _entry(f"  {p['name']}", f"{shown}  ({p['type']})", left, width)
+    print(f"\nUse it: lambent denoise noisy.exr --model {card['name']}")
+
+
+def _entry(label: str, text: str, left: int, width: int) -> None:
+    """A label, and its text wrapped in a column beside it."""
+    lines = textwrap.wrap(text, max(20, width - left)) or [""]
+    print(f"{label:<{left}}{lines[0]}")
+    for line in lines[1:]:
+        print(" " * left + line)

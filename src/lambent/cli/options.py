@@ -1,0 +1,106 @@
+"""Options that several commands share: their types, help and completions, and how they parse."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any
+
+import typer
+
+from lambent.errors import OptionError
+
+
+def complete_models(incomplete: str) -> list[tuple[str, str]]:
+    """For the shell: names of models that begin like this, with what each is."""
+    from lambent.filters.denoiser import DENOISERS
+
+    return [(name, "") for name in DENOISERS if name.startswith(incomplete)]
+
+
+def complete_roles(incomplete: str) -> list[str]:
+    """For the shell: ``role=`` for every role that begins like this."""
+    from lambent.frame.role import Role
+
+    return [f"{role.value}=" for role in Role if role.value.startswith(incomplete)]
+
+
+def complete_devices(incomplete: str) -> list[str]:
+    """For the shell: the devices."""
+    return [name for name in ("auto", "cpu", "cuda") if name.startswith(incomplete)]
+
+
+ModelOption = Annotated[
+    str,
+    typer.Option(
+        "--model",
+        "-m",
+        metavar="NAME",
+        help="The denoiser; 'lambent models' lists them.",
+        autocompletion=complete_models,
+    ),
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="ROLE=LAYER",
+        help="Say yourself which layer has a role: --map albedo=tex. Repeatable.",
+        autocompletion=complete_roles,
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="PARAM=VALUE",
+        help="Set a parameter of the model; 'lambent models NAME' lists them. Repeatable.",
+    ),
+]
+DeviceOption = Annotated[
+    str,
+    typer.Option(
+        "--device",
+        metavar="auto|cpu|cuda",
+        help="Where to compute.",
+        autocompletion=complete_devices,
+    ),
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else there.")
+]
+
+
+def pairs(option: str, texts: Iterable[str] | None) -> dict[str, str]:
+    """``["albedo=tex", …]`` to ``{"albedo": "tex"}``.
+
+    Raises `OptionError` for a text without ``=`` and for a name given twice.
+    """
+    found: dict[str, str] = {}
+    for text in texts or ():
+        name, sign, value = text.partition("=")
+        name, value = name.strip(), value.strip()
+        if not (sign and name and value):
+            form = "ROLE=LAYER" if option == "--map" else "PARAM=VALUE"
+            raise OptionError(
+                f"{option} '{text}' is not of the form {form}",
+                remedy=f"for example {option} "
+                + ("albedo=tex" if option == "--map" else "radius=7"),
+            )
+        if name in found:
+            raise OptionError(f"{option} names '{name}' twice", remedy="give it once")
+        found[name] = value
+    return found
+
+
+def print_json(document: Any) -> None:
+    """One JSON document on stdout; what JSON does not know becomes text."""
+    print(json.dumps(document, indent=2, default=_plain, allow_nan=False))
+
+
+def _plain(thing: Any) -> Any:
+    if hasattr(thing, "as_dict"):
+        return thing.as_dict()
+    if hasattr(thing, "tolist"):  # NumPy numbers and arrays
+        return thing.tolist()
+    return str(thing)

@@ -1,0 +1,386 @@
+"""From a noisy frame to a clean one: repair, filter, blend, and what to do about alpha.
+
+The order and the reasons:
+
+1. *Repair*: NaN, infinite, negative and huge pixels are counted and mended before any filter
+   could spread them (`lambent.frame.repair`).
+2. *Filter*: one call for the beauty and all chosen lighting layers, so that a linear filter gives
+   all of them the same weights and they still sum. Fitted once to the whole frame, then in tiles
+   where memory is short.
+3. *Alpha*: coverage is filtered along with the colour where it is noisy (smoke, depth of field,
+   motion blur), unless the caller decides. Noisy means: a share of the pixels is neither 0 nor 1
+   *and* lies among such pixels; edges that are merely anti-aliased are not noise. An alpha that
+   is filtered is held to [0, 1]; around one that is not, colour (premultiplied) is kept from
+   spilling to where there was neither coverage nor light.
+4. *Strength*: ``(1 − s) · input + s · result``, for every layer alike, so sums hold here too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from lambent.denoise import memory
+from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
+from lambent.errors import LayerError, OptionError
+from lambent.filters.denoiser import (
+    DEFAULT_MODEL,
+    DENOISERS,
+    Denoiser,
+    choose_passes,
+    create,
+    parameters,
+)
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.role import Role, Stat, parse_role
+
+if TYPE_CHECKING:
+    from lambent.frame.repair import Repairs
+
+#: Alpha counts as noisy when more than this share of the pixels is fractional among fractional.
+NOISY_ALPHA_SHARE = 1e-3
+
+#: Without a limit from the caller, filtering may take this share of the memory that is free.
+FREE_SHARE = 0.8
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to do to a frame. `checked` makes one from loose options and refuses nonsense.
+
+    ``passes``: ``"beauty"``, ``"all"`` or names. ``strength`` in [0, 1]. ``alpha``: filter the
+    coverage too, or None for "where it is noisy". ``roles``: role to layer name, as in ``--map``.
+    ``max_memory`` in bytes, for the whole process. ``threads``: None for all. ``params``: of the
+    model.
+    """
+
+    model: str = DEFAULT_MODEL
+    passes: str | tuple[str, ...] = "all"
+    strength: float = 1.0
+    alpha: bool | None = None
+    roles: Mapping[str, str] = field(default_factory=dict)
+    max_memory: int | None = None
+    threads: int | None = None
+    device: str = "auto"
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def checked(
+        cls,
+        model: str = DEFAULT_MODEL,
+        passes: str | Iterable[str] = "all",
+        strength: float = 1.0,
+        alpha: bool | None = None,
+        roles: Mapping[str, str] | None = None,
+        albedo: str | None = None,
+        normal: str | None = None,
+        max_memory: str | int | None = None,
+        threads: int | None = None,
+        device: str = "auto",
+        params: Mapping[str, Any] | None = None,
+    ) -> Settings:
+        """Settings from options as people give them.
+
+        Raises `UnknownNameError` for an unknown model, role or parameter, `OptionError` for a
+        value that makes no sense.
+        """
+        if model not in DENOISERS:
+            DENOISERS[model]  # raises, naming the nearest
+        if not 0.0 <= strength <= 1.0:
+            raise OptionError(
+                f"strength {strength:g} is outside 0 to 1",
+                remedy="0 leaves the frame as it is, 1 takes the denoised one",
+            )
+        if device not in ("auto", "cpu", "cuda"):
+            raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+        if threads is not None and threads < 1:
+            raise OptionError(
+                f"{threads} threads cannot work", remedy="give 1 or more, or leave it out for all"
+            )
+        chosen = dict(roles or {})
+        if albedo is not None:
+            chosen["albedo"] = albedo
+        if normal is not None:
+            chosen["normal"] = normal
+        for role in chosen:
+            parse_role(role)
+        settings = cls(
+            model=model,
+            passes=passes if isinstance(passes, str) else tuple(passes),
+            strength=float(strength),
+            alpha=alpha,
+            roles=chosen,
+            max_memory=None if max_memory is None else parse_size(max_memory),
+            threads=threads,
+            device=device,
+            params=dict(params or {}),
+        )
+        settings.denoiser()
+        return settings
+
+    def denoiser(self) -> Denoiser:
+        """A new denoiser as these settings want it."""
+        options = dict(self.params)
+        known = parameters(self.model)
+        if "device" in known and self.device != "auto":
+            options.setdefault("device", self.device)
+        if "threads" in known and self.threads is not None:
+            options.setdefault("threads", self.threads)
+        return create(self.model, **options)
+
+    def key(self) -> dict[str, Any]:
+        """What decides how the result looks; memory, threads and device do not."""
+        return {
+            "model": self.model,
+            "passes": self.passes if isinstance(self.passes, str) else ",".join(self.passes),
+            "strength": self.strength,
+            "alpha": self.alpha,
+            "roles": dict(sorted(self.roles.items())),
+            "params": {name: str(value) for name, value in sorted(self.params.items())},
+        }
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A denoised frame and how it came about.
+
+    ``layers``: names of the layers that were filtered. ``seconds``: by stage. ``plan``: tiles, or
+    None where nothing was filtered.
+    """
+
+    frame: Frame
+    layers: tuple[str, ...]
+    repairs: Repairs
+    plan: Plan | None
+    seconds: Mapping[str, float]
+
+
+def denoise(
+    thing: Frame | np.ndarray[Any, Any] | str | Path,
+    model: str = DEFAULT_MODEL,
+    passes: str | Iterable[str] = "all",
+    strength: float = 1.0,
+    alpha: bool | None = None,
+    roles: Mapping[str, str] | None = None,
+    albedo: Any = None,
+    normal: Any = None,
+    max_memory: str | int | None = None,
+    threads: int | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+    **params: Any,
+) -> Frame:
+    """Denoise a frame, a file, or an array of linear radiance ``(H, W, 3)``.
+
+    ``model`` and its ``params`` as listed by ``lambent models``. ``passes``: ``"beauty"``,
+    ``"all"`` lighting layers, or names. ``strength`` blends from the input (0) to the result (1).
+    ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: with a
+    file, names of layers; with an array, arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
+    ``roles``: role to layer name. ``max_memory``: bytes, or text such as ``"4G"``.
+
+    Returns the whole frame with the filtered layers replaced. Raises `lambent.LambentError` and
+    its kinds. Example::
+
+        clean = lambent.denoise("noisy.exr", strength=0.9)
+        lambent.write("clean.exr", clean)
+    """
+    named = isinstance(thing, (str, Path))
+    settings = Settings.checked(
+        model=model,
+        passes=passes,
+        strength=strength,
+        alpha=alpha,
+        roles=roles,
+        albedo=albedo if named else None,
+        normal=normal if named else None,
+        max_memory=max_memory,
+        threads=threads,
+        device=device,
+        params=params,
+    )
+    frame = _as_frame(thing, settings, albedo, normal)
+    return clean(frame, settings, progress=progress).frame
+
+
+def clean(frame: Frame, settings: Settings, progress: Progress | None = None) -> Cleaned:
+    """Repair, filter and blend one frame (one view of a stereo pair)."""
+    from lambent.frame.repair import repair
+
+    clock = _Stages()
+    repaired, repairs = repair(frame)
+    clock.done("repair")
+    denoiser = settings.denoiser()
+    if not repaired.has(Role.COLOUR):
+        raise repaired.missing(Role.COLOUR)
+    denoiser.check(repaired)
+    chosen = choose_layers(repaired, settings)
+    if settings.strength == 0.0 or not _any_light(chosen):
+        why = "strength is 0" if settings.strength == 0.0 else "the image is black all over"
+        return Cleaned(
+            repaired.noted(f"{why}: nothing was filtered"), (), repairs, None, clock.seconds
+        )
+    fitted = denoiser.fitted(repaired)
+    plan = plan_frame(repaired, fitted, chosen, settings)
+    if progress is not None:
+        progress(0, 1, "filtering")
+    cleaned = filter_tiles(fitted, repaired, chosen, plan, progress)
+    clock.done("filter")
+    finished = _finish(repaired, chosen, cleaned, settings.strength)
+    clock.done("blend")
+    names = tuple(layer.name for layer in chosen)
+    return Cleaned(finished, names, repairs, plan, clock.seconds)
+
+
+def choose_layers(frame: Frame, settings: Settings) -> list[Layer]:
+    """The layers that the settings filter, the beauty first, alpha last."""
+    layers = choose_passes(frame, settings.passes)
+    alpha = frame.layer(Role.ALPHA)
+    if settings.alpha is True and alpha is None:
+        raise frame.missing(Role.ALPHA)
+    if alpha is None or alpha in layers:
+        return layers
+    wanted = settings.alpha
+    if wanted is None:
+        wanted = settings.passes == "all" and is_noisy_alpha(alpha.data)
+    return [*layers, alpha] if wanted else layers
+
+
+def is_noisy_alpha(alpha: FloatImage) -> bool:
+    """Whether coverage ``(H, W, 1)`` is more than 0, 1 and thin anti-aliased edges."""
+    a = alpha[..., 0]
+    fractional = (a > 1e-3) & (a < 1 - 1e-3)
+    if not fractional.any():
+        return False
+    inside = fractional[1:-1, 1:-1].copy()
+    for rows, columns in (
+        (slice(None, -2), slice(1, -1)),
+        (slice(2, None), slice(1, -1)),
+        (slice(1, -1), slice(None, -2)),
+        (slice(1, -1), slice(2, None)),
+    ):
+        inside &= fractional[rows, columns]
+    return bool(np.count_nonzero(inside) > NOISY_ALPHA_SHARE * a.size)
+
+
+def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: Settings) -> Plan:
+    """The tiles for filtering ``layers``, within ``settings.max_memory`` or what is free.
+
+    Of a limit, what the process holds already and what it will need for results and for writing
+    is set aside first.
+    """
+    height, width = layers[0].data.shape[:2]
+    channels = sum(layer.data.shape[2] for layer in layers)
+    result_bytes = 4 * channels * height * width
+    if settings.max_memory is not None:
+        budget: int | None = settings.max_memory - memory.used() - result_bytes
+    else:
+        free = memory.available()
+        budget = None if free is None else int(FREE_SHARE * free) - result_bytes
+    per_pixel = denoiser.bytes_per_pixel(max(channels, 3))
+    return plan_tiles(height, width, per_pixel, denoiser.margin(), budget)
+
+
+# ------------------------------------------------------------------- private
+
+
+class _Stages:
+    """A stopwatch that names what it measured."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def done(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._last
+        self._last = now
+
+
+def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame:
+    if isinstance(thing, Frame):
+        if isinstance(albedo, str) or isinstance(normal, str) or settings.roles:
+            return _remap(thing, settings.roles, albedo, normal)
+        return _with_guides(thing, albedo, normal)
+    if isinstance(thing, (str, Path)):
+        from lambent.frame.files import read
+
+        return read(thing, roles=settings.roles or None)
+    image = np.asarray(thing)
+    if image.dtype == object or image.ndim not in (2, 3):
+        raise OptionError(
+            f"cannot denoise a {type(thing).__name__} of shape {image.shape}",
+            remedy="give a Frame, a path, or an array (H, W, 3) of linear radiance",
+        )
+    if image.ndim == 3 and image.shape[2] == 4:
+        frame = Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
+    else:
+        frame = Frame.from_arrays(colour=image)
+    return _with_guides(frame, albedo, normal)
+
+
+def _with_guides(frame: Frame, albedo: Any, normal: Any) -> Frame:
+    for role, image in ((Role.ALBEDO, albedo), (Role.NORMAL, normal)):
+        if image is not None:
+            frame = frame.with_layer(Layer(role, np.asarray(image)))
+    return frame.checked()
+
+
+def _remap(frame: Frame, roles: Mapping[str, str], albedo: Any, normal: Any) -> Frame:
+    """Give layers of a frame in memory other roles, by their names."""
+    wanted = dict(roles)
+    arrays: dict[str, Any] = {}
+    for name, given in (("albedo", albedo), ("normal", normal)):
+        if isinstance(given, str):
+            wanted[name] = given
+        elif given is not None:
+            arrays[name] = given
+    by_name = {layer.name: layer for layer in frame.all_layers()}
+    for role_name, layer_name in wanted.items():
+        role, stat = parse_role(role_name)
+        if layer_name not in by_name:
+            raise LayerError(
+                "there is no such layer",
+                file=frame.path,
+                layer=layer_name,
+                remedy=f"the frame has: {', '.join(sorted(by_name))}",
+            )
+        source = by_name[layer_name]
+        mapped = Layer(role, source.data, stat=stat, name=layer_name, source=source.source)
+        frame = frame.replace(layers={**frame.layers, (role, stat): mapped})
+    return _with_guides(frame, arrays.get("albedo"), arrays.get("normal"))
+
+
+def _any_light(layers: list[Layer]) -> bool:
+    return any(layer.data.any() for layer in layers)
+
+
+def _finish(frame: Frame, chosen: list[Layer], cleaned: list[FloatImage], strength: float) -> Frame:
+    """Hold alpha to [0, 1], keep colour where there was coverage, blend, replace."""
+    alpha = frame.layer(Role.ALPHA)
+    filtered_alpha = any(layer.role is Role.ALPHA for layer in chosen)
+    empty = None
+    if alpha is not None and not filtered_alpha:
+        beauty = frame[Role.COLOUR]
+        empty = (alpha.data[..., 0] <= 0) & ~beauty.any(axis=2)
+        if not empty.any():
+            empty = None
+    result = frame
+    for layer, image in zip(chosen, cleaned, strict=True):
+        if layer.role is Role.ALPHA:
+            image = np.clip(image, 0.0, 1.0)
+        elif empty is not None:
+            image = np.where(empty[:, :, None], np.float32(0), image)
+        if strength < 1.0:
+            s = np.float32(strength)
+            image = layer.data * (1 - s) + image * s
+        result = result.with_layer(layer.with_data(image))
+    stale = [
+        (layer.role, stat) for layer in chosen for stat in (Stat.VARIANCE, Stat.HALF_A, Stat.HALF_B)
+    ]
+    return result.without(*cast("list[Any]", stale))

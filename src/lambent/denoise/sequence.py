@@ -1,0 +1,365 @@
+"""Many frames: reading, filtering and writing overlap, and finished frames are skipped.
+
+One thread reads ahead, the caller's thread filters, one thread writes; a semaphore bounds how many
+frames are alive, so memory does not grow with the length of the sequence. (OpenEXR and the filters
+release the interpreter while they work, so threads suffice.)
+
+A frame is finished when its output exists, is not older than its input, and, for EXR, carries a
+stamp of the same settings. Outputs appear atomically, so one that exists is complete; that makes a
+command that was interrupted, even killed, resume when it is given again.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import re
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from lambent.denoise.files import (
+    STAMP,
+    SUFFIX,
+    Loaded,
+    Processed,
+    Result,
+    default_output,
+    load,
+    process,
+    save,
+)
+from lambent.denoise.pipeline import Settings
+from lambent.denoise.tiles import Progress
+from lambent.errors import FileError, LambentError, OutputError
+
+#: Frames alive at once: one being read, one filtered, one written.
+ALIVE = 3
+
+
+class State(Enum):
+    """What is to be done about a frame."""
+
+    TODO = "to do"
+    FINISHED = "finished"
+    OUTDATED = "the input is newer than the result"
+    OTHER_SETTINGS = "made with other settings"
+    FOREIGN = "not written by lambent"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One frame: its number (None in a folder of unnumbered files), input and output."""
+
+    number: int | None
+    source: Path
+    output: Path
+
+
+@dataclass(frozen=True)
+class SequenceResult:
+    """What became of the frames of a sequence."""
+
+    done: tuple[Result, ...]
+    skipped: tuple[Job, ...]
+    failed: tuple[tuple[Job, LambentError], ...]
+    missing: tuple[int, ...] = ()
+
+
+def is_sequence(source: str | Path) -> bool:
+    """Whether a name stands for many files: a pattern, a glob, or a directory."""
+    text = str(source)
+    if Path(text).is_dir():
+        return True
+    if Path(text).exists():
+        return False
+    return bool(re.search(r"#|%0?\d*d|[*?]", Path(text).name))
+
+
+def find_jobs(
+    source: str | Path, frames: str | None = None, output: str | Path | None = None
+) -> tuple[list[Job], tuple[int, ...]]:
+    """The frames that a pattern and a range name, and the numbers that are missing.
+
+    ``output``: a pattern with a place for the number, or a directory; None: beside the input,
+    ``shot_clean.####.exr`` for a pattern and the folder ``NAME_clean`` for a folder.
+    """
+    from lambent.frame.sequence import Sequence as FrameSequence
+
+    folder = Path(source)
+    if folder.is_dir() and frames is None:
+        jobs = _folder_jobs(folder, output)
+        return jobs, ()
+    sequence = FrameSequence.find(source, frames)
+    jobs = [
+        Job(number, Path(path), _output_for(Path(path), number, source, output))
+        for number, path in sorted(sequence.items())
+    ]
+    return jobs, tuple(sequence.missing)
+
+
+def state_of(job: Job, settings: Settings) -> State:
+    """Whether a frame is finished, and if not, why."""
+    if not job.output.exists():
+        return State.TODO
+    older = job.output.stat().st_mtime < job.source.stat().st_mtime
+    if job.output.suffix.lower() != ".exr":
+        return State.OUTDATED if older else State.FINISHED
+    found = read_stamp(job.output)
+    if found is None:
+        return State.FOREIGN
+    if older:
+        return State.OUTDATED
+    return State.FINISHED if found == settings.key() else State.OTHER_SETTINGS
+
+
+def read_stamp(path: Path) -> dict[str, Any] | None:
+    """The settings a file says it was made with; None for a file that is not ours."""
+    import OpenEXR
+
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            text = file.header(0).get(STAMP)
+        found = json.loads(text) if text else None
+    except (RuntimeError, ValueError, OSError, IndexError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def sort_out(
+    jobs: Iterable[Job], settings: Settings, overwrite: bool
+) -> tuple[list[Job], list[Job]]:
+    """(jobs to do, jobs already finished).
+
+    Raises `OutputError` before any work where files would be replaced that the user did not allow
+    to: results of other settings, and files that are not ours.
+    """
+    todo: list[Job] = []
+    finished: list[Job] = []
+    blocked: dict[State, list[Job]] = {}
+    for job in jobs:
+        state = State.TODO if overwrite else state_of(job, settings)
+        if state is State.FINISHED:
+            finished.append(job)
+        elif state in (State.FOREIGN, State.OTHER_SETTINGS):
+            blocked.setdefault(state, []).append(job)
+        else:
+            todo.append(job)
+    for state, held in blocked.items():
+        count = "this file exists" if len(held) == 1 else f"this and {len(held) - 1} more exist"
+        raise OutputError(
+            f"{count} and would be replaced: {state.value}",
+            file=held[0].output,
+            remedy="write elsewhere with -o NAME, or allow it with --overwrite",
+        )
+    return todo, finished
+
+
+def denoise_sequence(
+    source: str | Path,
+    output: str | Path | None = None,
+    frames: str | None = None,
+    *,
+    settings: Settings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    on_done: Callable[[Job, Processed, Result], None] | None = None,
+    **options: Any,
+) -> SequenceResult:
+    """Denoise all frames of a pattern (``shot.####.exr``), glob or directory.
+
+    A frame that fails does not stop the others; it is listed in the result. ``on_done`` is called
+    in the writing thread after each frame. Raises `LambentError` where nothing can be begun.
+    """
+    settings = settings or Settings.checked(**options)
+    jobs, missing = find_jobs(source, frames, output)
+    if not jobs:
+        raise FileError("no frame was found", file=source, remedy="check the pattern and --frames")
+    todo, finished = sort_out(jobs, settings, overwrite)
+    make_folders(todo)
+    done, failed = run_jobs(todo, settings, progress, on_done)
+    return SequenceResult(tuple(done), tuple(finished), tuple(failed), missing)
+
+
+def make_folders(jobs: Sequence[Job]) -> None:
+    """Make the output folder of a sequence where only its last part is missing."""
+    for folder in dict.fromkeys(job.output.parent for job in jobs):
+        if not folder.exists() and folder.parent.is_dir():
+            try:
+                folder.mkdir(exist_ok=True)
+            except OSError as error:
+                raise OutputError(
+                    f"this directory cannot be made: {error.strerror}",
+                    file=folder,
+                    remedy="choose another with -o",
+                ) from error
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    settings: Settings,
+    progress: Progress | None = None,
+    on_done: Callable[[Job, Processed, Result], None] | None = None,
+    keep: bool = False,
+) -> tuple[list[Result], list[tuple[Job, LambentError]]]:
+    """Run the three threads over ``jobs``; existing outputs are replaced.
+
+    Returns results and failures. On Ctrl-C the frame being written is finished, nothing else is.
+    """
+    line = _Line(jobs, settings, on_done)
+    line.start()
+    try:
+        for index, (job, loaded) in enumerate(line.loaded()):
+            if progress is not None:
+                progress(index, len(jobs), job.source.name)
+            try:
+                line.write(job, process(loaded, settings, keep=keep))
+            except LambentError as error:
+                line.fail(job, error)
+            del loaded
+        line.finish()
+    except BaseException:
+        line.stop()
+        raise
+    if progress is not None:
+        progress(len(jobs), len(jobs), "done")
+    return line.results, line.failures
+
+
+# ------------------------------------------------------------------- private
+
+
+class _Line:
+    """The reading and the writing thread around the filter, and what they have to report."""
+
+    def __init__(
+        self,
+        jobs: Sequence[Job],
+        settings: Settings,
+        on_done: Callable[[Job, Processed, Result], None] | None,
+    ) -> None:
+        self.results: list[Result] = []
+        self.failures: list[tuple[Job, LambentError]] = []
+        self._jobs, self._settings, self._on_done = jobs, settings, on_done
+        self._alive = threading.Semaphore(ALIVE)
+        self._read: queue.Queue[tuple[Job, Loaded | BaseException] | None] = queue.Queue()
+        self._write: queue.Queue[tuple[Job, Processed] | None] = queue.Queue()
+        self._stopped = threading.Event()
+        self._crash: BaseException | None = None
+        self._reader = threading.Thread(target=self._run_reader, name="reader", daemon=True)
+        self._writer = threading.Thread(target=self._run_writer, name="writer", daemon=True)
+
+    def start(self) -> None:
+        self._reader.start()
+        self._writer.start()
+
+    def loaded(self) -> Iterable[tuple[Job, Loaded]]:
+        """Frames as the reader delivers them; failures are noted and skipped."""
+        while (item := self._read.get()) is not None:
+            job, what = item
+            if self._crash is not None:
+                raise self._crash
+            if isinstance(what, LambentError):
+                self.fail(job, what)
+            elif isinstance(what, BaseException):
+                raise what
+            else:
+                del item
+                yield job, what
+                del what
+
+    def write(self, job: Job, processed: Processed) -> None:
+        self._write.put((job, processed))
+
+    def fail(self, job: Job, error: LambentError) -> None:
+        self.failures.append((job, error))
+        self._alive.release()
+
+    def finish(self) -> None:
+        self._write.put(None)
+        self._writer.join()
+        if self._crash is not None:
+            raise self._crash
+
+    def stop(self) -> None:
+        """Give up: read no more, let the frame that is being written be completed."""
+        self._stopped.set()
+        self._alive.release()
+        self._write.put(None)
+        self._writer.join()
+
+    def _run_reader(self) -> None:
+        for job in self._jobs:
+            self._alive.acquire()
+            if self._stopped.is_set():
+                break
+            try:
+                what: Loaded | BaseException = load(job.source, self._settings)
+            except BaseException as error:  # handed to the filtering thread, which decides
+                what = error
+            self._read.put((job, what))
+            del what
+        self._read.put(None)
+
+    def _run_writer(self) -> None:
+        while (item := self._write.get()) is not None:
+            job, processed = item
+            try:
+                if self._stopped.is_set():
+                    continue
+                result = save(processed, job.output, self._settings, overwrite=True)
+                self.results.append(result)
+                if self._on_done is not None:
+                    self._on_done(job, processed, result)
+            except LambentError as error:
+                self.failures.append((job, error))
+            except BaseException as error:  # re-raised in the filtering thread
+                self._crash = error
+            finally:
+                self._alive.release()
+                del item, processed
+
+
+def _folder_jobs(folder: Path, output: str | Path | None) -> list[Job]:
+    target = Path(output) if output is not None else folder.with_name(folder.name + SUFFIX)
+    if target.suffix:
+        raise OutputError(
+            "the input is a directory, so the output must be one too",
+            file=target,
+            remedy="give -o a directory, or the input as a pattern such as shot.####.exr",
+        )
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".exr" and p.is_file())
+    return [Job(_number(path), path, target / path.name) for path in files]
+
+
+def _number(path: Path) -> int | None:
+    found = re.findall(r"\d+", path.stem)
+    return int(found[-1]) if found else None
+
+
+def _output_for(
+    path: Path, number: int | None, source: str | Path, output: str | Path | None
+) -> Path:
+    """The output of one frame of a pattern."""
+    if output is None:
+        digits = re.search(r"([._-]?)(\d+)$", path.stem)
+        if digits is None:
+            return default_output(path)
+        stem = f"{path.stem[: digits.start()]}{SUFFIX}{digits[0]}"
+        return path.with_name(stem + path.suffix)
+    target = Path(output)
+    marks = re.search(r"#+|%0?(\d*)d", target.name)
+    if marks is None:
+        if target.suffix and not target.is_dir():
+            raise OutputError(
+                "many frames cannot go into one file",
+                file=target,
+                remedy=f"leave a place for the number: {target.stem}.####{target.suffix}",
+            )
+        return target / path.name
+    width = len(marks[0]) if marks[0].startswith("#") else int(marks[1] or 1)
+    name = target.name[: marks.start()] + f"{number:0{width}d}" + target.name[marks.end() :]
+    return target.with_name(name)
