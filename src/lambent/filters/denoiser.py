@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import typing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -72,6 +72,24 @@ class Denoiser:
         """
         raise NotImplementedError
 
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """Filter whole layers, the beauty first; one image for each, channels as they were.
+
+        What pipelines call. Here: all layers in one stack through `filter`, so that they get the
+        same weights; a beauty of one channel counts as a grey one of three. A denoiser that is
+        not linear overrides this, since it must know which channels belong together.
+        """
+        images = [layer.data for layer in layers]
+        grey = images[0].shape[2] == 1
+        if grey:
+            images[0] = np.repeat(images[0], 3, axis=2)
+        stack = images[0] if len(images) == 1 else np.concatenate(images, axis=2)
+        ends = np.cumsum([image.shape[2] for image in images])
+        pieces = np.split(self.filter(frame, stack), ends[:-1], axis=2)
+        if grey:
+            pieces[0] = pieces[0].mean(axis=2, keepdims=True, dtype=np.float32)
+        return pieces
+
     def margin(self) -> int:
         """Radius in pixels of what a result pixel may depend on: the margin that tiles need."""
         raise NotImplementedError
@@ -82,6 +100,18 @@ class Denoiser:
         Called once for a whole frame before it is cut into tiles, so that tiles agree.
         """
         return self
+
+    def watched(self, progress: Callable[[float], object] | None) -> Denoiser:
+        """A copy that tells ``progress`` how much of a filtering is done, in [0, 1].
+
+        A callback that returns False stops the work with an `EngineError`. Denoisers that cannot
+        tell return themselves.
+        """
+        return self
+
+    def remarks(self, frame: Frame) -> tuple[str, ...]:
+        """What a person should know about this frame with this model, one sentence each."""
+        return ()
 
     def bytes_per_pixel(self, channels: int) -> int:
         """Working memory for a pixel with ``channels`` target channels, for choosing tiles."""
@@ -98,13 +128,10 @@ class Denoiser:
         """
         self.check(frame)
         chosen = choose_passes(frame, passes)
-        stack = np.concatenate([layer.data for layer in chosen], axis=2)
-        cleaned = self.fitted(frame).filter(frame, stack)
-        result, channel = frame, 0
-        for layer in chosen:
-            count = layer.data.shape[2]
-            result = result.with_layer(layer.with_data(cleaned[:, :, channel : channel + count]))
-            channel += count
+        cleaned = self.fitted(frame).filter_layers(frame, chosen)
+        result = frame.noted(*self.remarks(frame))
+        for layer, image in zip(chosen, cleaned, strict=True):
+            result = result.with_layer(layer.with_data(image))
         stale = [
             (layer.role, stat)
             for layer in chosen
