@@ -1,1 +1,1 @@
-"""Error measures, one a file."""
+"""How far an image is from its reference: one metric a file, `compare` for a whole table."""

@@ -1,0 +1,336 @@
+"""Several images against one reference: a table of metrics, and maps for those who ask.
+
+All images of a comparison are shown and measured at one exposure, the reference's automatic one
+unless another is given. Without a reference (one noisy and one cleaned image, say) there are no
+metrics, but everything else is there: statistics, and maps of the *change* from the first image.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from lambent.errors import LayerError, OptionError
+from lambent.frame.frame import Frame
+from lambent.frame.tonemap import auto_exposure, luminance
+from lambent.metrics.metric import METRICS, Metric
+from lambent.metrics.pair import FloatArray, Pair, as_rgb
+
+Thing = Any  # a path, a Frame, or an array
+
+#: Called before each metric of each image with (what comes, how many are done, how many in all).
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One image of a comparison.
+
+    ``image``: ``(H, W, 3)`` float32 linear radiance, as read (NaN and all). ``details``: what is
+    known beside the pixels ("model", "seconds", …), for tables. ``notes``: remarks of the reader.
+    """
+
+    name: str
+    image: FloatArray
+    path: str | None = None
+    spp: int | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What error messages call it."""
+        return self.path or f"image '{self.name}'"
+
+    def statistics(self) -> dict[str, float]:
+        """Facts about the pixels that need no reference.
+
+        ``mean``, ``median``, ``max`` of the luminance and ``noise``, the median absolute second
+        difference along rows relative to the mean, over pixels that are finite (a measure of
+        grain: texture counts too); ``nonfinite``: pixels with NaN or Inf; ``negative``: pixels
+        with a negative channel.
+        """
+        sound = np.isfinite(self.image).all(axis=2)
+        y = luminance(self.image)
+        values = y[sound]
+        nan = float("nan")
+        facts = {
+            "mean": float(values.mean(dtype=np.float64)) if values.size else nan,
+            "median": float(np.median(values)) if values.size else nan,
+            "max": float(values.max()) if values.size else nan,
+            "noise": nan,
+            "nonfinite": float(sound.size - values.size),
+            "negative": float((self.image < 0).any(axis=2).sum()),
+        }
+        if y.shape[1] >= 3 and facts["mean"] > 0:
+            with np.errstate(invalid="ignore"):
+                second = np.abs(y[:, 2:] - 2 * y[:, 1:-1] + y[:, :-2])
+            second = second[np.isfinite(second)]
+            if second.size:
+                facts["noise"] = float(np.median(second)) / facts["mean"]
+        return facts
+
+
+@dataclass(frozen=True)
+class Row:
+    """The metrics of one image. ``bad``: its pixels that are NaN or infinite."""
+
+    name: str
+    values: Mapping[str, float]
+    bad: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` found. ``rows`` are in the order of ``pictures``.
+
+    ``reference`` is None where there was none; then ``rows`` hold no values. ``exposure`` is the
+    factor from radiance to display. ``uncounted``: pixels of the reference that are not finite,
+    left out of every mean.
+    """
+
+    pictures: tuple[Picture, ...]
+    reference: Picture | None
+    rows: tuple[Row, ...]
+    metrics: tuple[str, ...]
+    exposure: float
+    uncounted: int = 0
+    _pairs: Mapping[str, Pair] = field(default_factory=dict, repr=False)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        height, width = self.pictures[0].image.shape[:2]
+        return width, height
+
+    def __getitem__(self, name: str) -> Row:
+        """The row of an image; `OptionError` for a name that is not there."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        known = ", ".join(row.name for row in self.rows)
+        raise OptionError(f"there is no image '{name}' in this comparison", remedy=f"take {known}")
+
+    def map(self, name: str, metric: str) -> FloatArray:
+        """The error of an image in each pixel ``(H, W)`` by a metric, made when first asked for.
+
+        Without a reference this is the change from the first image. Raises `OptionError` for an
+        unknown image or a metric that has no map.
+        """
+        self[name]
+        kind: Metric = METRICS[metric]
+        if kind.error_map is None:
+            raise OptionError(f"the metric '{metric}' has no map")
+        return kind.error_map(self._pairs[name])
+
+    def best(self, metric: str) -> frozenset[str]:
+        """Names of the images with the best value."""
+        kind: Metric = METRICS[metric]
+        return kind.best({r.name: r.values[metric] for r in self.rows if metric in r.values})
+
+    def notes(self) -> tuple[str, ...]:
+        """Everything a reader should know: notes of the files, pixels that were not finite."""
+        found = []
+        pictures = self.pictures if self.reference is None else (self.reference, *self.pictures)
+        for picture in pictures:
+            found += [f"{picture.name}: {note}" for note in picture.notes]
+        if self.uncounted:
+            found.append(
+                f"The reference has {self.uncounted} pixels that are NaN or infinite; "
+                "they are left out of every metric."
+            )
+        for row in self.rows:
+            if row.bad and self.reference is not None:
+                found.append(
+                    f"{row.name}: {row.bad} pixels are NaN or infinite; every metric counts them "
+                    "as the worst there is."
+                )
+            elif row.bad:
+                found.append(f"{row.name}: {row.bad} pixels are NaN or infinite.")
+        return tuple(found)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything but pixels, of plain types that JSON knows (∞ as "inf", NaN as None)."""
+        width, height = self.size
+        return {
+            "reference": None if self.reference is None else _described(self.reference),
+            "images": [
+                {
+                    **_described(picture),
+                    "metrics": {k: _plain(v) for k, v in row.values.items()},
+                    "bad_pixels": row.bad,
+                }
+                for picture, row in zip(self.pictures, self.rows, strict=True)
+            ],
+            "metrics": list(self.metrics),
+            "width": width,
+            "height": height,
+            "exposure": self.exposure,
+            "uncounted_pixels": self.uncounted,
+            "notes": list(self.notes()),
+        }
+
+    def markdown(self) -> str:
+        """The table in Markdown; the best value of each metric in bold."""
+        kinds: list[Metric] = [METRICS[name] for name in self.metrics]
+        arrow = {"lower": "↓", "higher": "↑"}
+        lines = [
+            "| image | " + " | ".join(f"{k.title} {arrow[k.better]}" for k in kinds) + " |",
+            "|---|" + "---:|" * len(kinds),
+        ]
+        for row in self.rows:
+            cells = []
+            for kind in kinds:
+                text = number(row.values[kind.name])
+                cells.append(f"**{text}**" if row.name in self.best(kind.name) else text)
+            name = row.name.replace("|", "\\|").replace("\n", " ")
+            lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        return "\n".join(lines)
+
+
+def compare(
+    reference: Thing | None,
+    images: Mapping[str, Thing] | Iterable[Any],
+    metrics: Iterable[str] | None = None,
+    exposure: float | None = None,
+    *,
+    reference_variance: Any = None,
+    details: Mapping[str, Mapping[str, Any]] | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Measure images against a reference.
+
+    ``reference``: a path, a `Frame` or an array ``(H, W, 3)`` of linear radiance; or None, then
+    nothing is measured and maps show the change from the first image. ``images``: the same by
+    name, or an iterable of paths (named by their stems). ``metrics``: names from `METRICS`
+    (default: all). ``exposure``: the factor before the tone map (default: the reference's
+    automatic one). ``reference_variance``: see `lambent.metrics.relmse`. ``details``: by name of
+    image (or "reference"), facts to show beside it, such as ``{"model": "oidn", "seconds": 0.9}``.
+    Raises `LayerError` naming both images and sizes where sizes differ, `UnknownNameError` for an
+    unknown metric, and what `lambent.frame.files.read` raises.
+
+    >>> table = compare("reference.exr", {"noisy": "noisy.exr", "clean": clean})  # doctest: +SKIP
+    >>> print(table.markdown())  # doctest: +SKIP
+    """
+    named = _named(images)
+    if not named:
+        raise OptionError("there is nothing to compare", remedy="give at least one image")
+    more = details or {}
+    kinds: list[Metric] = [METRICS[name] for name in (METRICS if metrics is None else metrics)]
+    truth = None
+    if reference is not None:
+        truth = _picture("reference", reference, more.get("reference", {}))
+    pictures = tuple(_picture(name, thing, more.get(name, {})) for name, thing in named.items())
+    base = pictures[0] if truth is None else truth
+    factor = auto_exposure(base.image) if exposure is None else float(exposure)
+    if not (math.isfinite(factor) and factor > 0):
+        raise OptionError(f"the exposure is {factor}", remedy="give a factor above 0")
+    pairs = {
+        picture.name: Pair.of(
+            picture.image, base.image, factor, reference_variance, (picture.label, base.label)
+        )
+        for picture in pictures
+    }
+    if truth is None:
+        kinds = []
+    rows, done, steps = [], 0, len(kinds) * len(pictures)
+    for picture in pictures:
+        pair, values = pairs[picture.name], {}
+        for kind in kinds:
+            if progress is not None:
+                progress(f"{kind.title} of {picture.name}", done, steps)
+            values[kind.name] = kind.score(pair)
+            done += 1
+        bad = int((~np.isfinite(picture.image).all(axis=2)).sum())
+        rows.append(Row(picture.name, MappingProxyType(values), bad))
+    uncounted = 0 if truth is None else int((~pairs[pictures[0].name].counted).sum())
+    return Comparison(
+        pictures=pictures,
+        reference=truth,
+        rows=tuple(rows),
+        metrics=tuple(kind.name for kind in kinds),
+        exposure=factor,
+        uncounted=uncounted,
+        _pairs=pairs,
+    )
+
+
+def number(value: float) -> str:
+    """A metric's value for a table: four significant digits, no exponent where it can be helped."""
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    size = abs(value)
+    if size >= 1e5 or size < 1e-5:
+        text = f"{value:.2e}"
+    else:
+        text = f"{value:.{max(0, min(7, 3 - math.floor(math.log10(size))))}f}"
+    return text.replace("-", "−") if value < 0 else text
+
+
+# ------------------------------------------------------------------ private
+
+
+def _named(images: Mapping[str, Thing] | Iterable[Any]) -> dict[str, Thing]:
+    if isinstance(images, Mapping):
+        return {str(name): thing for name, thing in images.items()}
+    if isinstance(images, (str, Path)):
+        images = [images]
+    named: dict[str, Thing] = {}
+    for index, thing in enumerate(images, 1):
+        path = thing.path if isinstance(thing, Frame) else thing
+        name = Path(path).stem if isinstance(path, (str, Path)) else f"image {index}"
+        unique, count = name, 2
+        while unique in named:
+            unique, count = f"{name} ({count})", count + 1
+        named[unique] = thing
+    return named
+
+
+def _picture(name: str, thing: Thing, details: Mapping[str, Any]) -> Picture:
+    if isinstance(thing, Picture):
+        return replace(thing, name=name, details={**thing.details, **details})
+    path = None
+    if isinstance(thing, (str, Path)):
+        from lambent.frame.files import read
+
+        path = str(thing)
+        thing = read(thing)
+    if isinstance(thing, Frame):
+        image = as_rgb(thing.colour, thing.path or f"image '{name}'")
+        return Picture(name, image, thing.path or path, thing.spp, dict(details), thing.notes)
+    try:
+        image = as_rgb(thing, f"image '{name}'")
+    except (TypeError, ValueError) as error:
+        raise LayerError(f"cannot be taken as an image: {error}", file=f"image '{name}'") from error
+    return Picture(name, image, path, None, dict(details))
+
+
+def _described(picture: Picture) -> dict[str, Any]:
+    return {
+        "name": picture.name,
+        "path": picture.path,
+        "spp": picture.spp,
+        "details": {k: _plain(v) for k, v in picture.details.items()},
+        "statistics": {k: _plain(v) for k, v in picture.statistics().items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (bool, int, str)) or value is None:
+        return value
+    if isinstance(value, (float, np.floating, np.integer)):
+        plain = float(value)
+        if math.isnan(plain):
+            return None
+        return plain if math.isfinite(plain) else ("inf" if plain > 0 else "-inf")
+    return str(value)
