@@ -1,0 +1,396 @@
+"""The engine that reads the tables: which dialect a file speaks, and what its images mean.
+
+1. `recognise` looks for proof of a renderer: a header attribute, then typical layer names.
+2. `assign` takes every image through the dialect's rules, then through those of the generic table.
+3. `settle` leaves one image for each role and view, and says in words what it decided.
+
+`overridden` puts the user's own choices (``--map role=layer``) above all of it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from lambent.errors import LayerError, UnknownNameError
+from lambent.frame.dialects.images import Image
+from lambent.frame.dialects.table import Dialect, Found, Rule, misses
+from lambent.frame.role import INFO, Role, Space, Stat, parse_role
+
+if TYPE_CHECKING:
+    from lambent.frame.exr import ExrFile
+
+#: Roles of which a frame holds many; all others exist once for each statistic and view.
+MANY = frozenset({Role.LIGHTING, Role.ID, Role.OTHER})
+
+#: Kinds of images that can stand for a role, best first; the number is how many channels to take.
+#: An RGB image may hold a vector (Arnold) or the same number three times (Blender's single files).
+KINDS: dict[Role, tuple[tuple[str, int], ...]] = {
+    Role.NORMAL: (("xyz", 3), ("rgb", 3)),
+    Role.POSITION: (("xyz", 3), ("rgb", 3)),
+    Role.MOTION: (("xyzw", 4), ("xy", 2), ("uv", 2), ("xyz", 2), ("rgb", 2)),
+    Role.DEPTH: (("scalar", 1), ("luma", 1), ("rgb", 1)),
+    Role.ROUGHNESS: (("scalar", 1), ("luma", 1), ("rgb", 1)),
+    Role.ALPHA: (("scalar", 1), ("luma", 1)),
+    Role.COLOUR: (("rgb", 3), ("luma", 3)),
+}
+REFLECTANCE = (("rgb", 3), ("luma", 1), ("scalar", 1))
+
+
+@dataclass(frozen=True)
+class Match:
+    """An image with the rule that fits it. ``rank``: place of the rule, small is better."""
+
+    image: Image
+    found: Found
+    rank: int
+    scope: str = ""
+
+
+@lru_cache(maxsize=4096)
+def compiled(pattern: str) -> re.Pattern[str]:
+    """A pattern of a table; names are compared without regard to case."""
+    return re.compile(pattern, re.IGNORECASE)
+
+
+# ------------------------------------------------------------------------------- which dialect
+
+
+def attributes(exr: ExrFile) -> Iterator[str]:
+    """``key=value`` of every header attribute that is a text or a number."""
+    seen = set()
+    for part in exr.parts:
+        for key, value in part.header.items():
+            if isinstance(value, (str, int, float)) and (key, value) not in seen:
+                seen.add((key, value))
+                yield f"{key}={value}"[:400]
+
+
+def recognise(
+    exr: ExrFile, images: Sequence[Image], dialects: Mapping[str, Dialect]
+) -> tuple[Dialect | None, str]:
+    """The dialect of a file and the proof, or None. A header attribute beats any name."""
+    texts = list(attributes(exr))
+    for dialect in dialects.values():
+        for pattern in dialect.header:
+            for text in texts:
+                if compiled(pattern).match(text):
+                    key, _, value = text.partition("=")
+                    return dialect, f"the header has {key} = {value[:60]}"
+    best: tuple[int, Dialect, list[str]] | None = None
+    names = list(dict.fromkeys(image.name for image in images))
+    for dialect in dialects.values():
+        hits = {}
+        for pattern in dialect.names:
+            hit = next((name for name in names if compiled(pattern).fullmatch(name)), None)
+            if hit is not None:
+                hits[pattern] = hit
+        if dialect.names and len(hits) >= dialect.enough and (best is None or len(hits) > best[0]):
+            best = len(hits), dialect, list(hits.values())
+    if best is None:
+        return None, ""
+    shown = ", ".join(f"'{name}'" for name in best[2][:4])
+    return best[1], f"layers are named {shown}"
+
+
+def samples(exr: ExrFile, dialect: Dialect | None, scope: str, extra: Dialect) -> int | None:
+    """Samples per pixel from the header, or None.
+
+    Where several attributes match, that of the view layer ``scope`` is taken.
+    """
+    found: list[tuple[str, int]] = []
+    for pattern, power in (*(dialect.spp if dialect else ()), *extra.spp):
+        for text in attributes(exr):
+            match = compiled(pattern).match(text)
+            if match:
+                value = float(match.group(1)) ** power
+                if math.isfinite(value) and 1 <= value < 1e9:
+                    found.append((text, round(value)))
+    for text, value in found:
+        if scope and f".{scope}." in text.partition("=")[0]:
+            return value
+    return found[0][1] if found else None
+
+
+# ------------------------------------------------------------------------------------- the rules
+
+
+def scope_of(image: Image, dialect: Dialect | None) -> tuple[str, str]:
+    """View layer and pass name of an image: ``"ViewLayer.Mist"`` to ``("ViewLayer", "Mist")``."""
+    if dialect is None or not dialect.scoped:
+        return "", image.name
+    layer = image.layer
+    if "." not in layer:
+        return "", image.name
+    scope, _, name = layer.rpartition(".")
+    return scope, name + image.name[len(layer) :]
+
+
+def picked(role: Role, image: Image) -> tuple[tuple[int, str], ...] | None:
+    """The channels of an image that stand for a role, or None where the image cannot."""
+    if role in (Role.ID, Role.OTHER):
+        return image.channels
+    for kind, count in KINDS.get(role, REFLECTANCE):
+        if image.kind == kind:
+            return image.channels[:count]
+    return None
+
+
+def assign(
+    images: Sequence[Image],
+    dialect: Dialect | None,
+    generic: Dialect,
+    crypto: Iterable[str],
+    spp_of: Mapping[str, int | None],
+) -> tuple[list[Match], list[str]]:
+    """Every image with what it means, and notes. ``crypto``: names of cryptomattes (header)."""
+    beside: dict[tuple[str, str], set[str]] = {}
+    for image in images:
+        scope, text = scope_of(image, dialect)
+        beside.setdefault((image.view, scope), set()).add(text.lower())
+    tables = [(d, d.title) for d in (dialect, generic) if d is not None]
+    mattes = [compiled(re.escape(name) + r"\d*(\.\w+)?") for name in crypto]
+    matches: list[Match] = []
+    notes: list[str] = []
+    for image in images:
+        scope, text = scope_of(image, dialect)
+        shown = text if scope else image.name
+        if any(matte.fullmatch(image.name) for matte in mattes):
+            why = "the header lists it as a cryptomatte"
+            matches.append(Match(image, _found(image, Role.ID, why), 0, scope))
+            continue
+        match, offset = None, 0
+        for table, title in tables:
+            for rank, rule in enumerate(table.rules):
+                if not _fits(rule, text, image, beside[image.view, scope]):
+                    continue
+                channels = picked(rule.role, image)
+                if channels is None:
+                    continue
+                what = f": {rule.what}" if rule.what else ""
+                why = f"{title}, '{shown}'{what}"
+                found, note = _from_rule(rule, image, channels, why, spp_of.get(scope))
+                notes += [note] if note else []
+                match = Match(image, found, offset + rank, scope)
+                break
+            if match:
+                break
+            offset += len(table.rules)
+        if match is None:
+            why = f"no table has a meaning for '{shown}'"
+            match = Match(image, _found(image, Role.OTHER, why), offset, scope)
+        matches.append(match)
+    return matches, notes
+
+
+def _fits(rule: Rule, text: str, image: Image, beside: set[str]) -> bool:
+    if not compiled(rule.pattern).fullmatch(text):
+        return False
+    if rule.component and not compiled(rule.component).fullmatch(image.component):
+        return False
+    if rule.alpha is not None and rule.alpha != (image.alpha is not None):
+        return False
+    return not (rule.without and any(compiled(rule.without).fullmatch(n) for n in beside))
+
+
+def _from_rule(
+    rule: Rule, image: Image, channels: tuple[tuple[int, str], ...], why: str, spp: int | None
+) -> tuple[Found, str]:
+    space = INFO[rule.role].space if rule.space is None else rule.space
+    if len(channels) < len(image.channels) and image.kind != "luma":
+        why += f" ({', '.join(name for _, name in channels)} only)"
+    found = Found(
+        rule.role, image.name, channels, rule.stat, space, image.view, why,
+        misses(rule.role, rule.miss) if rule.stat is not Stat.VARIANCE else (),
+    )  # fmt: skip
+    if not rule.per_sample:
+        return found, ""
+    if spp:
+        why = f"{why}; divided by {spp} spp to be that of the mean"
+        return replace(found, scale=1.0 / spp, why=why), ""
+    why = f"{why}; not used: the header does not tell the samples per pixel"
+    note = (
+        f"'{image.name}' holds the variance of single samples; tell the samples per pixel "
+        "(--spp) to have it used"
+    )
+    return replace(found, role=Role.OTHER, stat=Stat.MEAN, space=Space.NONE, why=why), note
+
+
+def _found(image: Image, role: Role, why: str) -> Found:
+    return Found(role, image.name, image.channels, Stat.MEAN, INFO[role].space, image.view, why)
+
+
+# ----------------------------------------------------------------------------- one image a role
+
+
+def chosen_scope(matches: Sequence[Match], asked: str = "") -> str:
+    """The view layer that gives the roles: the one asked for, else the first with a colour.
+
+    Blender's ``Composite`` (the compositor's result) only where there is no other.
+    """
+    scopes = list(dict.fromkeys(m.scope for m in matches))
+    if asked and asked in scopes:
+        return asked
+    with_colour = [m.scope for m in matches if m.found.role is Role.COLOUR]
+    for scope in (*with_colour, *scopes):
+        if scope and scope.lower() != "composite":
+            return scope
+    return with_colour[0] if with_colour else (scopes[0] if scopes else "")
+
+
+def settle(matches: Sequence[Match], scope: str) -> tuple[list[Found], list[str]]:
+    """One image for each role, statistic and view; what is left over keeps its name.
+
+    A second image of light is a lighting layer (it is filtered like the beauty), a second guide
+    is only carried along. Images of other view layers are carried along, too.
+    """
+    best: dict[tuple[str, Role, Stat], Match] = {}
+    for match in matches:
+        key = (match.found.view, match.found.role, match.found.stat)
+        if match.scope in ("", scope) and match.found.role not in MANY:
+            held = best.get(key)
+            if held is None or match.rank < held.rank:
+                best[key] = match
+    alphas = {
+        (view, match.image.alpha): match.found.name
+        for (view, role, stat), match in best.items()
+        if (role, stat) == (Role.COLOUR, Stat.MEAN) and match.image.alpha is not None
+    }
+    for view, channel in alphas:
+        for match in matches:
+            key = (view, Role.ALPHA, Stat.MEAN)
+            if match.image.channels == (channel,) and (key not in best or best[key].rank >= 0):
+                why = f"alpha of '{alphas[view, channel]}'"
+                found = Found(
+                    Role.ALPHA, match.found.name, match.image.channels, view=view, why=why
+                )
+                best[key] = replace(match, found=found)
+    chosen = {id(match.image): match for match in best.values()}
+    result: list[Found] = []
+    for match in matches:
+        match = chosen.get(id(match.image), match)
+        found = match.found
+        key = (found.view, found.role, found.stat)
+        if match.scope not in ("", scope):
+            if found.role is not Role.ID:
+                why = f"belongs to the view layer '{match.scope}', not to '{scope}'"
+                found = replace(found, role=Role.OTHER, stat=Stat.MEAN, space=Space.NONE, why=why)
+        elif found.role not in MANY and best[key] is not match:
+            taken = best[key].found.name
+            light = INFO[found.role].radiance and found.stat is Stat.MEAN
+            found = replace(
+                found,
+                role=Role.LIGHTING if light else Role.OTHER,
+                stat=Stat.MEAN,
+                channels=match.image.channels,
+                why=f"{found.why}; '{taken}' is taken as {found.role.value}",
+            )
+        result.append(found)
+    others = sorted({m.scope for m in matches} - {"", scope})
+    notes = []
+    if others and scope:
+        names = ", ".join(f"'{name}'" for name in others)
+        notes.append(
+            f"The file has several view layers; '{scope}' is used, not {names}. "
+            f"Take another with --map colour={others[0]}.Combined"
+        )
+    return _named_apart(result), notes
+
+
+def _named_apart(layers: list[Found]) -> list[Found]:
+    """Layers of one view with names of their own: a frame finds extra layers by name."""
+    used: set[tuple[str, str]] = set()
+    result = []
+    for found in layers:
+        name = found.name
+        if (found.view, name) in used:
+            name = f"{found.name} [{'/'.join(c.rpartition('.')[2] for _, c in found.channels)}]"
+        number = 2
+        while (found.view, name) in used:
+            name = f"{found.name} #{number}"
+            number += 1
+        used.add((found.view, name))
+        result.append(replace(found, name=name))
+    return result
+
+
+# ------------------------------------------------------------------------------------- overrides
+
+
+def asked_for(
+    images: Sequence[Image], overrides: Mapping[str, str], file: object
+) -> list[tuple[Role, Stat, Image]]:
+    """The images that ``role=layer`` choices name, one for each view that has the layer.
+
+    A layer may be given by full name, last component, part name, channel or ``part.layer``.
+    Raises `UnknownNameError` (nearest names) and `LayerError` (channels that do not suit).
+    """
+    wanted: list[tuple[Role, Stat, Image]] = []
+    for role_name, layer in overrides.items():
+        role, stat = parse_role(role_name)
+        hits = _named(images, layer.strip())
+        if not hits:
+            raise UnknownNameError("layer", layer, {i.name for i in images}, file=file)
+        fitting = [image for image in hits if picked(role, image) is not None]
+        if not fitting:
+            have = len(hits[0].channels)
+            allowed = " or ".join(map(str, INFO[role].channels))
+            raise LayerError(
+                f"{INFO[role].title} needs {allowed} channels, this has {have} "
+                f"({', '.join(name for _, name in hits[0].channels)})",
+                file=file,
+                layer=hits[0].name,
+                remedy=f"name another layer: --map {role_name}=NAME",
+            )
+        views = dict.fromkeys(image.view for image in fitting)
+        for view in views:
+            wanted.append((role, stat, next(i for i in fitting if i.view == view)))
+    return wanted
+
+
+def _named(images: Sequence[Image], asked: str) -> list[Image]:
+    """Images that go by a name, trying exact spellings first."""
+
+    def names(image: Image) -> Iterator[tuple[str, ...]]:
+        channels = tuple(name for _, name in image.channels)
+        yield (image.name, *channels)
+        yield (image.layer, f"{image.part_name}.{image.layer}", f"{image.part_name}.{image.name}")
+        yield (image.part_name,)
+        yield (image.layer.rpartition(".")[2], image.name.rpartition(".")[2])
+        yield (f"{image.view}.{image.name}", f"{image.name}.{image.view}")
+
+    spelled = [list(names(image)) for image in images]
+    for fold in (False, True):
+        target = asked.lower() if fold else asked
+        for level in range(5):
+            hits = [
+                image
+                for image, levels in zip(images, spelled, strict=True)
+                if any(n and (n.lower() if fold else n) == target for n in levels[level])
+            ]
+            if hits:
+                return hits
+    return []
+
+
+def overridden(matches: Sequence[Match], wanted: Sequence[tuple[Role, Stat, Image]]) -> list[Match]:
+    """The matches with the user's choices in place; a rank below zero wins in `settle`."""
+    result = list(matches)
+    for role, stat, image in wanted:
+        for place, match in enumerate(result):
+            if match.image is image:
+                channels = picked(role, image)
+                assert channels is not None
+                why = f"--map {role.value}{'' if stat is Stat.MEAN else '.' + stat.value}"
+                space = INFO[role].space
+                if match.found.role is role:
+                    space = match.found.space
+                found = Found(
+                    role, image.name, channels, stat, space, image.view, why, misses(role)
+                )
+                result[place] = Match(image, found, -1, match.scope)
+    return result
