@@ -1,0 +1,193 @@
+"""The records of an EXR file: parts, channels in their own types, header values.
+
+`decode` reads the structure and checks all of it; pixels are decoded when they are asked for.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.frame.exrheader import Container, PartHeader
+from lambent.frame.exrpixels import Arrays, bands, decode_rows
+from lambent.frame.exrvalues import COMPRESSIONS
+
+
+class ExrChannel:
+    """One channel: name, sampling, and pixels in its own type and sampled size ``(h, w)``.
+
+    ``data`` is float16, float32 or uint32, read-only; decoded with its part when first asked for.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        data: NDArray[Any] | Callable[[], NDArray[Any]],
+        x_sampling: int = 1,
+        y_sampling: int = 1,
+        dtype: Any = None,
+    ) -> None:
+        self.name = name
+        self.x_sampling = x_sampling
+        self.y_sampling = y_sampling
+        self.dtype = np.dtype(dtype if dtype is not None else np.asarray(data).dtype)
+        self._data = data
+
+    @property
+    def data(self) -> NDArray[Any]:
+        """The pixels."""
+        return self._data() if callable(self._data) else self._data
+
+    def __repr__(self) -> str:
+        return f"ExrChannel({self.name!r}, {self.dtype})"
+
+
+class Pixels:
+    """The packed pixels of a part, and once asked for, the decoded ones."""
+
+    def __init__(self, file: Container, packed: PartHeader) -> None:
+        self.file, self.packed = file, packed
+
+    @cached_property
+    def arrays(self) -> Arrays:
+        """Every channel, decoded together and kept."""
+        found = decode_rows(self.file, self.packed)
+        for array in found.values():
+            array.flags.writeable = False
+        return found
+
+    @property
+    def kept(self) -> bool:
+        """Whether `arrays` has been made."""
+        return "arrays" in self.__dict__
+
+
+@dataclass(frozen=True, eq=False)
+class ExrPart:
+    """One part: ``header`` has its attributes as Python values (see `exrvalues`).
+
+    ``view`` is the part's stereo view, or "". Windows are ``(x0, y0, x1, y1)``, inclusive.
+    """
+
+    index: int
+    name: str
+    view: str
+    header: Mapping[str, Any] = field(repr=False)
+    channels: Mapping[str, ExrChannel]
+    data_window: tuple[int, int, int, int]
+    display_window: tuple[int, int, int, int]
+    pixels: Pixels | None = field(default=None, repr=False)
+
+    @property
+    def width(self) -> int:
+        """Columns of the data window."""
+        return self.data_window[2] - self.data_window[0] + 1
+
+    @property
+    def height(self) -> int:
+        """Rows of the data window."""
+        return self.data_window[3] - self.data_window[1] + 1
+
+    @property
+    def type(self) -> str:
+        """``"scanlineimage"`` or ``"tiledimage"``."""
+        return "tiledimage" if self.pixels and self.pixels.packed.tiles else "scanlineimage"
+
+    @property
+    def compression(self) -> str:
+        """``"zip"``, ``"piz"``, … (`lambent.frame.exrvalues.COMPRESSIONS`)."""
+        return "zip" if self.pixels is None else COMPRESSIONS[self.pixels.packed.compression]
+
+    def rows(self, top: int, bottom: int) -> Arrays:
+        """Rows ``top:bottom`` of every channel without sub-sampling; only these are decoded."""
+        if self.pixels is None or self.pixels.kept:
+            return {n: c.data[top:bottom] for n, c in self.channels.items() if c.y_sampling == 1}
+        packed = self.pixels.packed
+        step = packed.lines * max(c.y_sampling for c in packed.channels)
+        a, b = top // step * step, min(-(-bottom // step) * step, self.height)
+        found = decode_rows(self.pixels.file, packed, (a, b))
+        return {
+            n: found[n][top - a : bottom - a] for n, c in self.channels.items() if c.y_sampling == 1
+        }
+
+    def fill(self, targets: Mapping[str, Iterable[tuple[NDArray[Any], int, int]]]) -> None:
+        """Decode in bands straight into other arrays of any type; nothing is kept.
+
+        ``targets``: channel name to ``(place, row, column)``: arrays ``(h, w)`` (views of an
+        interleaved image, say) and where in the channel their first pixel lies. Memory beside
+        them is one band.
+        """
+        for a, b, found in self._bands():
+            for name, places in targets.items():
+                step = self.channels[name].y_sampling
+                first, last = a // step, -(-b // step)
+                for place, row, column in places:
+                    top, bottom = max(first, row), min(last, row + place.shape[0])
+                    if top < bottom:
+                        piece = found[name][top - first : bottom - first]
+                        place[top - row : bottom - row] = piece[:, column : column + place.shape[1]]
+
+    def _bands(self) -> Iterable[tuple[int, int, Arrays]]:
+        if self.pixels is None or self.pixels.kept:
+            yield 0, self.height, {name: c.data for name, c in self.channels.items()}
+            return
+        for a, b in bands(self.pixels.packed):
+            yield a, b, decode_rows(self.pixels.file, self.pixels.packed, (a, b))
+
+
+@dataclass(frozen=True, eq=False)
+class ExrFile:
+    """A decoded EXR file."""
+
+    path: Path
+    parts: tuple[ExrPart, ...]
+    container: Container | None = field(default=None, repr=False)
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """The stereo views, the main one first; empty if there is only one picture."""
+        for part in self.parts:
+            listed = part.header.get("multiView")
+            if isinstance(listed, list):
+                return tuple(listed)
+        return tuple(dict.fromkeys(p.view for p in self.parts if p.view))
+
+
+def decode(path: str | os.PathLike[str]) -> ExrFile:
+    """Read and check the structure of an EXR file; pixels follow when they are asked for.
+
+    Raises `FileError` (missing, no EXR), `DamagedFileError`, `DeepFileError`. Pixels that cannot
+    be decoded raise `DamagedFileError` later, where they are asked for.
+    """
+    container = Container(path)
+    return ExrFile(Path(path), tuple(_part(container, p) for p in container.parts), container)
+
+
+def _part(container: Container, packed: PartHeader) -> ExrPart:
+    pixels = Pixels(container, packed)
+    return ExrPart(
+        index=packed.index,
+        name=str(packed.values.get("name", "")),
+        view=str(packed.values.get("view", "")),
+        header=packed.values,
+        channels={
+            c.name: ExrChannel(
+                c.name, partial(_pixels_of, pixels, c.name), c.x_sampling, c.y_sampling, c.dtype
+            )
+            for c in packed.channels
+        },
+        data_window=packed.data_window,
+        display_window=packed.display_window,
+        pixels=pixels,
+    )
+
+
+def _pixels_of(pixels: Pixels, name: str) -> NDArray[Any]:
+    return pixels.arrays[name]

@@ -1,0 +1,429 @@
+"""Packed chunks of an EXR part to arrays and back, with OpenEXR's own module as the codec.
+
+A run of chunks is handed to the module as a little single-part EXR of its own, with a header made
+here that holds nothing but what the codec needs: a whole part (nothing is copied: the module reads
+the chunks from the file itself), a band of rows, or one level of a mip-map. Bands bound the memory;
+levels, and parts beside damaged ones, become reachable at all. Uncompressed rows are plain memory
+and need no codec; sub-sampled channels, which the module cannot write, are packed with zlib here.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import sys
+import tempfile
+import threading
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import FileError
+from lambent.frame.exrheader import Container, Level, PartHeader
+from lambent.frame.exrvalues import COMPRESSIONS
+from lambent.frame.magic import EXR_MAGIC
+
+Arrays = dict[str, NDArray[Any]]
+
+#: Unpacked bytes of a band: large enough that a band costs little, small against a picture.
+BAND_BYTES = 32 << 20
+NONE, ZIP = 0, 3
+_CHANNEL_NUMBER = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
+
+
+def module() -> Any:
+    """The OpenEXR module, with as many threads as there are processors."""
+    import OpenEXR
+
+    if OpenEXR.global_thread_count() == 0:
+        OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+    return OpenEXR
+
+
+def bands(part: PartHeader, level: Level | None = None) -> Iterator[tuple[int, int]]:
+    """Row ranges ``[a, b)`` of a level that start at chunks and are about `BAND_BYTES` large."""
+    level = level or part.levels[0]
+    row = max(1, level.width * sum(c.dtype.itemsize for c in part.channels))
+    step = part.lines
+    if part.sampled and part.lines < 2:
+        step = int(np.lcm.reduce([c.y_sampling for c in part.channels]))
+    elif part.sampled:
+        step *= int(np.lcm.reduce([c.y_sampling for c in part.channels]))
+    count = max(1, BAND_BYTES // (row * step))
+    for a in range(0, level.height, count * step):
+        yield a, min(a + count * step, level.height)
+
+
+# ------------------------------------------------------------------ decoding
+
+
+def decode_rows(
+    container: Container,
+    part: PartHeader,
+    rows: tuple[int, int] | None = None,
+    level: Level | None = None,
+) -> Arrays:
+    """All channels of the rows ``[a, b)`` of a level, in their own types and sampled sizes.
+
+    ``rows`` count from the top of the data window and start at a chunk (see `bands`); None means
+    all. Raises `DamagedFileError` with what OpenEXR said.
+    """
+    level = level or part.levels[0]
+    a, b = rows or (0, level.height)
+    chosen = _chunk_range(part, level, a, b)
+    if part.compression == NONE and part.tiles is None and not part.sampled:
+        return _plain_rows(container, part, chosen, a, b)
+    whole = (a, b) == (0, part.height) and level is part.levels[0]
+    stream = (_splice if whole or part.tiles is None else _assemble)(
+        container, part, level, chosen, a, b
+    )
+    exr = module()
+    if COMPRESSIONS[part.compression] != "none" and not _known(exr, part.compression):
+        raise FileError(
+            f"is packed with {COMPRESSIONS[part.compression].upper()}, which the OpenEXR "
+            f"{exr.__version__} installed here does not know",
+            file=container.path,
+            remedy="pip install --upgrade OpenEXR",
+        )
+    with _quiet() as said:
+        try:
+            found = exr.File(stream, separate_channels=True, num_threads=os.cpu_count() or 1).parts
+        except Exception as error:  # the module raises many kinds; all mean the same here
+            found, reason = [], str(error)
+        else:
+            reason = ""
+    if not found:
+        reason = "; ".join(filter(None, [reason, *said])) or "OpenEXR gave no reason"
+        container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
+    channels = found[0].channels
+    return {
+        info.name: channels[safe].pixels
+        for info, safe in zip(part.channels, _safe_names(part), strict=True)
+    }
+
+
+def _name(part: PartHeader) -> str | None:
+    return str(part.values.get("name", "")) or None
+
+
+def _known(exr: Any, number: int) -> bool:
+    return any(int(c) == number for c in exr.Compression.__members__.values())
+
+
+def _chunk_range(part: PartHeader, level: Level, a: int, b: int) -> slice:
+    if part.tiles is None:
+        return slice(a // part.lines, -(-b // part.lines))
+    columns = -(-level.width // part.tiles.width)
+    first, last = a // part.tiles.height, -(-b // part.tiles.height)
+    return slice(level.first + first * columns, level.first + last * columns)
+
+
+def _plain_rows(container: Container, part: PartHeader, chosen: slice, a: int, b: int) -> Arrays:
+    """Uncompressed rows: each is its channels one after the other."""
+    chunks = container.chunks[part.index]
+    start, size = chunks.start[chosen], chunks.size[chosen]
+    row = part.width * sum(c.dtype.itemsize for c in part.channels)
+    if (size != row).any():
+        container.damaged("a row has not the size that its channels need", layer=_name(part))
+    stride = chunks.lead + row
+    if (np.diff(start) == stride).all():
+        block = np.frombuffer(container.read(int(start[0]), stride * len(start)), np.uint8)
+        block = block.reshape(len(start), stride)[:, chunks.lead :]
+    else:
+        pieces = [container.read(int(s) + chunks.lead, row) for s in start]
+        block = np.frombuffer(b"".join(pieces), np.uint8).reshape(len(start), row)
+    found: Arrays = {}
+    at = 0
+    for channel in part.channels:
+        end = at + part.width * channel.dtype.itemsize
+        found[channel.name] = np.ascontiguousarray(block[:, at:end]).view(channel.dtype)
+        at = end
+    return found
+
+
+class _Splice:
+    """A stream: a header made by us, then the file itself, shifted behind it."""
+
+    def __init__(self, head: bytes, container: Container) -> None:
+        self.head, self.container = head, container
+        self.size = len(head) + container.size
+        self.at = 0
+
+    def read(self, count: int = -1) -> bytes:
+        count = min(count, self.size - self.at) if count >= 0 else self.size - self.at
+        at, self.at = self.at, self.at + count
+        shift = len(self.head)
+        if at >= shift:
+            return self.container.read(at - shift, count)
+        piece = self.head[at : at + count]
+        return piece + self.container.read(0, count - len(piece))
+
+    def seek(self, at: int, whence: int = 0) -> int:
+        self.at = at + (0, self.at, self.size)[whence]
+        return self.at
+
+    def tell(self) -> int:
+        return self.at
+
+
+def _splice(
+    container: Container, part: PartHeader, level: Level, chosen: slice, a: int, b: int
+) -> Any:
+    chunks = container.chunks[part.index]
+    skip = 4 if container.multipart else 0
+    head = _codec_header(part, level, a, b)
+    shift = len(head) + 8 * (chosen.stop - chosen.start)
+    return _Splice(head + (chunks.start[chosen] + skip + shift).astype("<u8").tobytes(), container)
+
+
+def _assemble(
+    container: Container, part: PartHeader, level: Level, chosen: slice, a: int, b: int
+) -> io.BytesIO:
+    """Tiles of a band or level with their coordinates counted from its own corner."""
+    assert part.tiles is not None
+    chunks = container.chunks[part.index]
+    columns = -(-level.width // part.tiles.width)
+    head = _codec_header(part, level, a, b)
+    at = len(head) + 8 * (chosen.stop - chosen.start)
+    table, pieces = [], []
+    for n, (start, size) in enumerate(
+        zip(chunks.start[chosen].tolist(), chunks.size[chosen].tolist(), strict=True)
+    ):
+        table.append(at)
+        pieces.append(struct.pack("<5i", n % columns, n // columns, 0, 0, size))
+        pieces.append(container.read(start + chunks.lead, size))
+        at += 20 + size
+    return io.BytesIO(b"".join([head, struct.pack(f"<{len(table)}Q", *table), *pieces]))
+
+
+def _safe_names(part: PartHeader) -> list[str]:
+    """Channel names for the module, which cannot show bytes that are no UTF-8 as text."""
+    try:
+        return [c.raw.decode("utf-8") for c in part.channels]
+    except UnicodeDecodeError:
+        return [f"c{n:06d}" for n in range(len(part.channels))]
+
+
+def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:
+    """The header of a single-part EXR that holds rows ``[a, b)`` of a level of the part."""
+    names = [name.encode() for name in _safe_names(part)]
+    channels = b"".join(
+        name
+        + struct.pack("<xiB3xii", _CHANNEL_NUMBER[c.dtype], c.p_linear, c.x_sampling, c.y_sampling)
+        for name, c in zip(names, part.channels, strict=True)
+    )
+    x, y = part.data_window[0], part.data_window[1] + a
+    box = struct.pack("<4i", x, y, x + level.width - 1, y + b - a - 1)
+    attributes = [
+        (b"channels", b"chlist", channels + b"\0"),
+        (b"compression", b"compression", bytes([part.compression])),
+        (b"dataWindow", b"box2i", box),
+        (b"displayWindow", b"box2i", box),
+        (b"lineOrder", b"lineOrder", b"\0"),
+        (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
+        (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
+        (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+    ]
+    flags = 0x400 if max(map(len, names)) > 31 else 0
+    if part.tiles:
+        flags |= 0x200
+        tiles = struct.pack("<IIB", part.tiles.width, part.tiles.height, 0)
+        attributes.append((b"tiles", b"tiledesc", tiles))
+    body = b"".join(
+        name + b"\0" + kind + b"\0" + struct.pack("<i", len(raw)) + raw
+        for name, kind, raw in attributes
+    )
+    return EXR_MAGIC + struct.pack("<I", 2 | flags) + body + b"\0"
+
+
+# ------------------------------------------------------------------ encoding
+
+
+def encode_rows(
+    part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, level: Level, multipart: bool
+) -> list[bytes]:
+    """The chunks (leader and packed pixels, in table order) of rows from ``first`` on.
+
+    ``arrays``: every channel of the part by name, in its own type and sampled size.
+    """
+    prefix = struct.pack("<i", part.index) if multipart else b""
+    if part.tiles is None and not part.sampled and part.compression == NONE:
+        return _pack_plain(part, arrays, first, prefix)
+    if part.sampled:
+        return _pack_sampled(part, arrays, first, prefix)
+    packed = Container(None, _little_file(part, arrays, first))
+    chunks = packed.chunks[0]
+    width = next(iter(arrays.values())).shape[1]
+    row = first // part.lines
+    found = []
+    for n, (start, size) in enumerate(
+        zip(chunks.start.tolist(), chunks.size.tolist(), strict=True)
+    ):
+        pixels = packed.read(start + chunks.lead, size)
+        if part.tiles:
+            columns = -(-width // part.tiles.width)
+            place = (n % columns, row + n // columns, level.lx, level.ly)
+            found.append(prefix + struct.pack("<5i", *place, size) + pixels)
+        else:
+            y = part.data_window[1] + first + n * part.lines
+            found.append(prefix + struct.pack("<2i", y, size) + pixels)
+    return found
+
+
+def survives(
+    part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, names: list[str]
+) -> bool:
+    """Whether these channels come back bit for bit when packed with the part's compression."""
+    stream = io.BytesIO(_little_file(part, arrays, first))
+    with _quiet():
+        back = module().File(stream, separate_channels=True).parts[0].channels
+    safe = dict(zip((c.name for c in part.channels), _safe_names(part), strict=True))
+    return all(arrays[n].tobytes() == back[safe[n]].pixels.tobytes() for n in names)
+
+
+def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int) -> bytes:
+    """A single-part EXR of these rows, packed by OpenEXR."""
+    exr = module()
+    height, width = next(iter(arrays.values())).shape
+    x, y = part.data_window[0], part.data_window[1] + first
+    window = ((x, y), (x + width - 1, y + height - 1))
+    header: dict[str, Any] = {
+        "compression": exr.Compression(part.compression),
+        "type": exr.tiledimage if part.tiles else exr.scanlineimage,
+        "dataWindow": window,
+        "displayWindow": window,
+    }
+    level_of_dwa = part.values.get("dwaCompressionLevel")
+    if isinstance(level_of_dwa, float):
+        header["dwaCompressionLevel"] = level_of_dwa
+    if part.tiles:
+        tiles = exr.TileDescription()
+        tiles.xSize, tiles.ySize = part.tiles.width, part.tiles.height
+        header["tiles"] = tiles
+    channels = {
+        safe: exr.Channel(safe, np.ascontiguousarray(arrays[c.name]), 1, 1, bool(c.p_linear))
+        for c, safe in zip(part.channels, _safe_names(part), strict=True)
+    }
+    stream = io.BytesIO()
+    exr.File([exr.Part(header, channels, "")], num_threads=os.cpu_count() or 1).write(stream)
+    return stream.getvalue()
+
+
+def _pack_plain(
+    part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, prefix: bytes
+) -> list[bytes]:
+    height, width = next(iter(arrays.values())).shape
+    row = width * sum(c.dtype.itemsize for c in part.channels)
+    lead = len(prefix) + 8
+    block = np.empty((height, lead + row), np.uint8)
+    leader = np.empty((height, 2), "<i4")
+    leader[:, 0] = part.data_window[1] + first + np.arange(height)
+    leader[:, 1] = row
+    block[:, : len(prefix)] = np.frombuffer(prefix, np.uint8)
+    block[:, len(prefix) : lead] = leader.view(np.uint8)
+    at = lead
+    for channel in part.channels:
+        end = at + width * channel.dtype.itemsize
+        pixels = np.ascontiguousarray(arrays[channel.name], channel.dtype)
+        block[:, at:end] = pixels.view(np.uint8)
+        at = end
+    return [block[n].data for n in range(height)]  # type: ignore[misc]
+
+
+def _pack_sampled(
+    part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, prefix: bytes
+) -> list[bytes]:
+    """Chunks of scan lines whose channels may be sub-sampled, uncompressed or packed with ZIP."""
+    assert part.compression in (NONE, ZIP)
+    height = max(a.shape[0] * c.y_sampling for c, a in _with_arrays(part, arrays))
+    found = []
+    for top in range(0, height, part.lines):
+        pieces = [
+            np.ascontiguousarray(array[line // channel.y_sampling]).tobytes()
+            for line in range(top, min(top + part.lines, height))
+            for channel, array in _with_arrays(part, arrays)
+            if line % channel.y_sampling == 0
+        ]
+        raw = b"".join(pieces)
+        pixels = zip_pack(raw) if part.compression == ZIP else raw
+        place = part.data_window[1] + first + top
+        found.append(prefix + struct.pack("<2i", place, len(pixels)) + pixels)
+    return found
+
+
+def _with_arrays(
+    part: PartHeader, arrays: Mapping[str, NDArray[Any]]
+) -> list[tuple[Any, NDArray[Any]]]:
+    return [(c, arrays[c.name]) for c in part.channels]
+
+
+def zip_pack(raw: bytes) -> bytes:
+    """EXR's ZIP: low and high bytes apart, differences of neighbours, deflate; raw if not smaller.
+
+    The half of the bytes at even places comes first; each difference is stored plus 128.
+    """
+    source = np.frombuffer(raw, np.uint8)
+    split = np.concatenate([source[0::2], source[1::2]])
+    split[1:] = split[1:] - split[:-1] + np.uint8(128)
+    packed = zlib.compress(split.tobytes(), 4)
+    return packed if len(packed) < len(raw) else raw
+
+
+# ------------------------------------------------------- what the module says
+
+_lock = threading.Lock()
+
+
+class _OwnThread:
+    """Stands in for ``sys.stdout``: keeps what this thread prints, passes on the others' text."""
+
+    def __init__(self, other: TextIO | None) -> None:
+        self.other, self.thread, self.kept = other, threading.get_ident(), [""]
+
+    def write(self, text: str) -> int:
+        if threading.get_ident() == self.thread:
+            self.kept.append(text)
+        elif self.other is not None:
+            self.other.write(text)
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.other, name)
+
+
+@contextmanager
+def _quiet() -> Iterator[list[str]]:
+    """Collect what OpenEXR prints: Python warnings on stdout, C messages on file descriptor 2.
+
+    The list is filled when the block ends. Text of others on descriptor 2 is passed on then.
+    """
+    said: list[str] = []
+    with _lock, tempfile.TemporaryFile() as kept:
+        stdout = _OwnThread(sys.stdout)
+        try:
+            saved = os.dup(2)
+        except OSError:  # no stderr at all
+            saved = -1
+        if saved >= 0:
+            os.dup2(kept.fileno(), 2)
+        sys.stdout = stdout  # type: ignore[assignment]
+        try:
+            yield said
+        finally:
+            if sys.stdout is stdout:
+                sys.stdout = stdout.other  # type: ignore[assignment]
+            if saved >= 0:
+                os.dup2(saved, 2)
+                os.close(saved)
+            kept.seek(0)
+            for line in kept.read().splitlines(keepends=True):
+                text = line.decode("utf-8", errors="replace").strip()
+                if "EXR_ERR" in text:
+                    said.append(text.replace("<python_buffer>: ", ""))
+                elif saved >= 0:
+                    os.write(2, line)
