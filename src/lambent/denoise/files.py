@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -248,18 +247,14 @@ def outline(source: Path, output: Path, settings: Settings) -> dict[str, Any]:
 
 def write_preview(path: Path, before: Frame, after: Frame) -> Path:
     """A PNG with the input on the left and the result on the right, at one exposure."""
+    from lambent.frame.atomic import atomic
     from lambent.frame.tonemap import auto_exposure, to_png
 
     exposure = auto_exposure(after.colour)
     white = np.full((after.height, max(2, after.width // 200), 3), 1 / exposure, np.float32)
     pair = np.concatenate([before.colour, white, after.colour], axis=1)
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(to_png(pair, exposure))
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(f"the preview cannot be written: {error.strerror}", file=path) from error
+    with atomic(path, overwrite=True) as file:
+        file.write(to_png(pair, exposure))
     return path
 
 

@@ -225,6 +225,7 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
         return Cleaned(
             repaired.noted(f"{why}: nothing was filtered"), (), repairs, None, clock.seconds
         )
+    repaired = repaired.noted(*denoiser.remarks(repaired))
     fitted = denoiser.fitted(repaired)
     plan = plan_frame(repaired, fitted, chosen, settings)
     if progress is not None:

@@ -39,6 +39,8 @@ from lambent.errors import FileError, LambentError, OutputError
 #: Frames alive at once: one being read, one filtered, one written.
 ALIVE = 3
 
+_IMAGE_SUFFIXES = frozenset({".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr"})
+
 
 class State(Enum):
     """What is to be done about a frame."""
@@ -99,6 +101,29 @@ def find_jobs(
         for number, path in sorted(sequence.items())
     ]
     return jobs, tuple(sequence.missing)
+
+
+def listed_jobs(sources: Sequence[str | Path], output: str | Path | None = None) -> list[Job]:
+    """Jobs for files that were named one by one; ``output`` is a directory or None (beside each).
+
+    Raises `FileError` for one that does not exist.
+    """
+    jobs = []
+    for text in sources:
+        path = Path(text)
+        if not path.is_file():
+            raise FileError(
+                "there is no such file",
+                file=path,
+                remedy="name files, or one pattern such as shot.####.exr in quotes",
+            )
+        if output is None:
+            target = default_output(path)
+        else:
+            target = Path(output) / path.name
+            _refuse_file_as_folder(Path(output), "many files cannot go into one file")
+        jobs.append(Job(_number(path), path, target))
+    return jobs
 
 
 def state_of(job: Job, settings: Settings) -> State:
@@ -325,14 +350,14 @@ class _Line:
 
 def _folder_jobs(folder: Path, output: str | Path | None) -> list[Job]:
     target = Path(output) if output is not None else folder.with_name(folder.name + SUFFIX)
-    if target.suffix:
-        raise OutputError(
-            "the input is a directory, so the output must be one too",
-            file=target,
-            remedy="give -o a directory, or the input as a pattern such as shot.####.exr",
-        )
+    _refuse_file_as_folder(target, "the input is a directory, so the output must be one too")
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".exr" and p.is_file())
     return [Job(_number(path), path, target / path.name) for path in files]
+
+
+def _refuse_file_as_folder(target: Path, why: str) -> None:
+    if target.suffix.lower() in _IMAGE_SUFFIXES or target.is_file():
+        raise OutputError(why, file=target, remedy="give -o a directory")
 
 
 def _number(path: Path) -> int | None:

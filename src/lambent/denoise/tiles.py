@@ -155,10 +155,11 @@ def filter_tiles(
 
     Returns one float32 array ``(H, W, C)`` for each layer, sizes and channels as they were.
     """
+    total = sum(tile.outer.pixels for tile in plan.tiles)
     if len(plan.tiles) == 1:
-        return _filter(denoiser, frame, layers)
+        return _watched(denoiser, 0, total, total, progress).filter_layers(frame, layers)
     results = [np.empty(layer.data.shape, np.float32) for layer in layers]
-    total, done = sum(t.outer.pixels for t in plan.tiles), 0
+    done = 0
     for tile in plan.tiles:
         outer, core = tile.outer, tile.core
         piece = frame.crop(outer.top, outer.bottom, outer.left, outer.right)
@@ -166,11 +167,12 @@ def filter_tiles(
             layer.with_data(layer.data[outer.top : outer.bottom, outer.left : outer.right])
             for layer in layers
         ]
+        worker = _watched(denoiser, done, outer.pixels, total, progress)
         inner = (
             slice(core.top - outer.top, core.bottom - outer.top),
             slice(core.left - outer.left, core.right - outer.left),
         )
-        for result, cleaned in zip(results, _filter(denoiser, piece, cut), strict=True):
+        for result, cleaned in zip(results, worker.filter_layers(piece, cut), strict=True):
             result[core.top : core.bottom, core.left : core.right] = cleaned[inner]
         done += outer.pixels
         if progress is not None:
@@ -181,21 +183,13 @@ def filter_tiles(
 # ------------------------------------------------------------------- private
 
 
-def _filter(denoiser: Denoiser, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
-    """All layers through one call, the beauty first and always with three channels."""
-    images = [layer.data for layer in layers]
-    grey = images[0].shape[2] == 1
-    if grey:
-        images[0] = np.repeat(images[0], 3, axis=2)
-    stack = images[0] if len(images) == 1 else np.concatenate(images, axis=2)
-    cleaned = denoiser.filter(frame, stack)
-    ends = np.cumsum([image.shape[2] for image in images])
-    pieces = [
-        cleaned[:, :, end - image.shape[2] : end] for image, end in zip(images, ends, strict=True)
-    ]
-    if grey:
-        pieces[0] = pieces[0].mean(axis=2, keepdims=True, dtype=np.float32)
-    return pieces
+def _watched(
+    denoiser: Denoiser, done: int, pixels: int, total: int, progress: Progress | None
+) -> Denoiser:
+    """A denoiser that tells how far it is with its share of the whole."""
+    if progress is None:
+        return denoiser
+    return denoiser.watched(lambda share: progress(done + share * pixels, total, "filtering"))
 
 
 def _core_sizes(extent: int) -> list[int]:

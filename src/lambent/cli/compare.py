@@ -1,0 +1,178 @@
+"""Measure images against a reference, as a table or as one self-contained page.
+
+REF is the noise-free reference, the others are measured against it. All get the exposure of the
+reference. relMSE is printed with and without the worst 0.1 % of pixels (fireflies).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lambent.cli.options import JsonOption, print_json
+from lambent.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from lambent.metrics.compare import Comparison
+
+EPILOG = "Example: lambent compare reference.exr noisy.exr clean.exr --report page.html"
+
+
+def complete_metrics(incomplete: str) -> list[str]:
+    """For the shell: names of metrics that begin like this."""
+    from lambent.metrics.metric import METRICS
+
+    return [name for name in METRICS if name.startswith(incomplete)]
+
+
+def compare(
+    reference: Annotated[Path, typer.Argument(metavar="REF", help="The reference.")],
+    images: Annotated[list[Path], typer.Argument(metavar="A B C...", help="What to measure.")],
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            "--metrics",
+            metavar="NAME,...",
+            help="Only these metrics.",
+            autocompletion=complete_metrics,
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="OUT.html", help="Write a page to look at."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a report that exists.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.metrics.compare import compare as measure
+
+    names = None if metrics is None else [m.strip() for m in metrics.split(",") if m.strip()]
+    _check_inputs([reference, *images])
+    if report is not None:
+        _check_report(report, overwrite)
+    with Progress("comparing", quiet=as_json) as progress:
+        comparison = measure(
+            reference,
+            _named(images),
+            names,
+            progress=lambda text, done, total: progress.report(done, total, text),
+        )
+        if report is not None:
+            from lambent.report import write_report
+
+            progress.report(0, 1, "writing the page")
+            write_report(report, comparison)
+    if as_json:
+        found = comparison.as_dict()
+        print_json({**found, "report": None if report is None else str(report)})
+        return
+    _print_table(comparison)
+    if report is not None:
+        print(f"\n{report}")
+
+
+# ------------------------------------------------------------------- private
+
+
+def _named(images: list[Path]) -> dict[str, Path]:
+    """Names for the table: stems, or as much of the paths as it takes to tell them apart."""
+    names = [path.stem for path in images]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in images]
+    unique: dict[str, Path] = {}
+    for name, path in zip(names, images, strict=True):
+        count = 1
+        while (name if count == 1 else f"{name} ({count})") in unique:
+            count += 1
+        unique[name if count == 1 else f"{name} ({count})"] = path
+    return unique
+
+
+def _check_inputs(paths: list[Path]) -> None:
+    """All missing files in one message, before any is read."""
+    from lambent.errors import FileError
+
+    missing = [path for path in paths if not path.exists()]
+    if missing:
+        others = ", ".join(str(path) for path in missing[1:])
+        raise FileError(
+            "there is no such file" + (f" (nor {others})" if others else ""),
+            file=missing[0],
+            remedy="check the path; the reference comes first",
+        )
+
+
+def _check_report(report: Path, overwrite: bool) -> None:
+    from lambent.errors import OutputError
+
+    if report.is_dir():
+        raise OutputError(
+            "the report is a directory", file=report, remedy=f"name a file: {report}/report.html"
+        )
+    if not report.parent.is_dir():
+        raise OutputError(
+            "this directory does not exist",
+            file=report.parent,
+            remedy=f"mkdir -p '{report.parent}'",
+        )
+    if report.exists() and not overwrite:
+        raise OutputError(
+            "this file exists already", file=report, remedy="allow replacing it with --overwrite"
+        )
+
+
+def _print_table(comparison: Comparison) -> None:
+    """Images down, metrics across; a star at the best; turned round where it does not fit."""
+    import shutil
+
+    from lambent.metrics.compare import number
+    from lambent.metrics.metric import METRICS
+
+    kinds = [METRICS[name] for name in comparison.metrics]
+    arrows = {"lower": "↓", "higher": "↑"}
+    heads = [f"{kind.title} {arrows[kind.better]}" for kind in kinds]
+    best = {kind.name: comparison.best(kind.name) for kind in kinds}
+    names = [row.name for row in comparison.rows]
+    cells = [
+        [
+            number(row.values[kind.name]) + ("*" if row.name in best[kind.name] else " ")
+            for kind in kinds
+        ]
+        for row in comparison.rows
+    ]
+    width = shutil.get_terminal_size((100, 24)).columns
+    table = [["", *heads], *([name, *line] for name, line in zip(names, cells, strict=True))]
+    if _table_width(table) > width:
+        table = [list(column) for column in zip(*table, strict=True)]
+    size = f"{comparison.size[0]}x{comparison.size[1]}"
+    reference = comparison.reference
+    spp = f", {reference.spp} spp" if reference is not None and reference.spp else ""
+    if reference is not None:
+        print(f"Against {reference.path} ({size}{spp}), exposure {comparison.exposure:.3g}\n")
+    for line in _lined_up(table):
+        print(line)
+    if any(best.values()):
+        print("\n* the best of these")
+    for note in comparison.notes():
+        print(f"note: {note}")
+
+
+def _table_width(table: list[list[str]]) -> int:
+    columns = zip(*table, strict=True)
+    return sum(max(map(len, column)) + 2 for column in columns) - 2
+
+
+def _lined_up(table: list[list[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = []
+    for row in table:
+        first, *rest = row
+        line = first.ljust(widths[0])
+        line += "".join(f"  {c:>{w}}" for c, w in zip(rest, widths[1:], strict=True))
+        lines.append(line.rstrip())
+    return lines

@@ -1,0 +1,392 @@
+"""Clean a noisy render, or a sequence of them.
+
+IN is an EXR (any renderer's; layers are found by themselves), several files, a pattern such as
+shot.####.exr, or a directory. The result is written beside it as IN_clean.exr; a pattern becomes
+shot_clean.####.exr, a directory DIR_clean. Everything that is not denoised is written back bit for
+bit. A sequence skips frames that are finished, so a command that was interrupted goes on when it
+is given again.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import (
+    DeviceOption,
+    JsonOption,
+    MapOption,
+    ModelOption,
+    SetOption,
+    pairs,
+    print_json,
+)
+from lambent.cli.progress import Progress, show_seconds
+
+if TYPE_CHECKING:
+    from lambent.denoise.files import Processed, Result
+    from lambent.denoise.pipeline import Settings
+    from lambent.denoise.sequence import Job
+
+EPILOG = (
+    "Examples: lambent denoise noisy.exr --preview; "
+    "lambent denoise shot.####.exr -o clean/shot.####.exr --frames 1-50; "
+    "lambent denoise noisy.exr --model nfor --passes all --strength 0.9"
+)
+
+
+def denoise(
+    sources: Annotated[
+        list[str], typer.Argument(metavar="IN", help="A file, a pattern, or a directory.")
+    ],
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="Where to write: a file, a pattern, or a directory. Default: IN_clean.exr.",
+        ),
+    ] = None,
+    model: ModelOption = "oidn",
+    passes: Annotated[
+        str,
+        typer.Option(
+            metavar="beauty|all|NAME,...",
+            help="What to denoise: the beauty alone, all lighting layers too, or named ones.",
+        ),
+    ] = "all",
+    strength: Annotated[
+        float,
+        typer.Option(metavar="0..1", help="Blend from the input (0) to the denoised frame (1)."),
+    ] = 1.0,
+    alpha: Annotated[
+        bool | None,
+        typer.Option(
+            "--alpha/--no-alpha",
+            help="Denoise the coverage too, or leave it. Default: only where it is noisy.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="1-50", help="Frames of a sequence: 1-50, 1-50x2 or 1,3,7."),
+    ] = None,
+    albedo: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The layer that holds the albedo.")
+    ] = None,
+    normal: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The layer that holds the normals.")
+    ] = None,
+    mapping: MapOption = None,
+    setting: SetOption = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write one HTML page of before and after.")
+    ] = False,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Write a PNG of before and after.")
+    ] = False,
+    max_memory: Annotated[
+        str | None,
+        typer.Option(metavar="4G", help="Stay under this much memory, working in tiles."),
+    ] = None,
+    threads: Annotated[
+        int | None, typer.Option(metavar="N", help="Use so many processor threads.")
+    ] = None,
+    device: DeviceOption = "auto",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace outputs that exist.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done; write nothing.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> int:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.denoise.pipeline import Settings
+    from lambent.denoise.sequence import is_sequence
+
+    if threads is not None:
+        _limit_threads(threads)
+    settings = Settings.checked(
+        model=model,
+        passes=passes,
+        strength=strength,
+        alpha=alpha,
+        roles=pairs("--map", mapping),
+        albedo=albedo,
+        normal=normal,
+        max_memory=max_memory,
+        threads=threads,
+        device=device,
+        params=pairs("--set", setting),
+    )
+    extras = _Extras(preview, report)
+    many = len(sources) > 1 or is_sequence(sources[0])
+    if many:
+        return _run_many(sources, output, frames, settings, extras, overwrite, dry_run, as_json)
+    return _run_one(Path(sources[0]), output, frames, settings, extras, overwrite, dry_run, as_json)
+
+
+# ------------------------------------------------------------------ one file
+
+
+def _run_one(
+    source: Path,
+    output: str | None,
+    frames: str | None,
+    settings: Settings,
+    extras: _Extras,
+    overwrite: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> int:
+    from lambent.denoise import files
+    from lambent.errors import OptionError
+
+    if frames is not None:
+        raise OptionError(
+            f"--frames {frames} is for sequences, and {source} is one file",
+            remedy="give the input as a pattern, such as shot.####.exr",
+        )
+    target = files.default_output(source) if output is None else Path(output)
+    if target.is_dir() and not source.is_dir():
+        target = target / source.name
+    files.check_output(source, target, overwrite or dry_run)
+    if dry_run:
+        plan = files.outline(source, target, settings)
+        print_json(plan) if as_json else _print_plan(plan)
+        return 0
+    with Progress(source.name, quiet=as_json) as progress:
+        progress.report(0, 1, "reading")
+        loaded = files.load(source, settings)
+        processed = files.process(loaded, settings, progress.report, keep=extras.any)
+        del loaded
+        progress.report(0, 1, "writing")
+        result = files.save(processed, target, settings, overwrite)
+        written = extras.write(processed, result)
+    if as_json:
+        print_json({**result.as_dict(), **{k: str(v) for k, v in written.items()}})
+    else:
+        _print_result(result, written)
+    return 0
+
+
+def _print_result(result: Result, written: dict[str, Path]) -> None:
+    size = f"{result.width}x{result.height}"
+    facts = [size, result.dialect, f"{result.spp} spp" if result.spp else ""]
+    print(f"{result.output}")
+    print(f"  from     {result.source} ({', '.join(f for f in facts if f)})")
+    if result.layers:
+        print(f"  cleaned  {_listing(result.layers)} with {result.model}")
+    if len(result.views) > 1:
+        print(f"  views    {', '.join(result.views)}")
+    for line in result.repairs:
+        print(f"  repaired {line}")
+    for line in result.notes:
+        print(f"  note     {line}")
+    if not result.tiles.startswith("in one piece") and result.tiles:
+        print(f"  filtered {result.tiles}")
+    print(f"  took     {_timings(result)}")
+    for kind, path in written.items():
+        print(f"  {kind:<8} {path}")
+
+
+def _timings(result: Result) -> str:
+    from lambent.denoise.tiles import show_size
+
+    parts = [
+        f"{stage} {show_seconds(result.seconds[stage])}"
+        for stage in ("read", "repair", "filter", "write")
+        if result.seconds.get(stage, 0.0) >= 0.01
+    ]
+    total = show_seconds(result.seconds["total"])
+    return f"{total} ({', '.join(parts)}); at most {show_size(result.peak_memory)} of memory"
+
+
+def _listing(names: tuple[str, ...] | list[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _print_plan(plan: dict[str, Any]) -> None:
+    print(f"{plan['output']} would be written (dry run: nothing is)")
+    dialect = f" ({plan['dialect']})" if plan["dialect"] else ""
+    print(f"  from      {plan['source']}{dialect}")
+    print(f"  model     {plan['model']}, strength {plan['strength']:g}")
+    for name, view in plan["views"].items():
+        if len(plan["views"]) > 1:
+            print(f"  view      {name}")
+        for role, layer in view["roles"].items():
+            why = view["why"].get(layer, "")
+            print(f"  {role:<10}{layer}" + (f"  [{why}]" if why else ""))
+        print(f"  clean     {_listing(view['filtered'], 12)}")
+        if view["untouched"]:
+            print(f"  keep      {_listing(view['untouched'], 12)}, bit for bit")
+        print(f"  filter    {view['width']}x{view['height']} {view['tiles']}")
+        for note in view["notes"]:
+            print(f"  note      {note}")
+
+
+# ---------------------------------------------------------------- many files
+
+
+def _run_many(
+    sources: list[str],
+    output: str | None,
+    frames: str | None,
+    settings: Settings,
+    extras: _Extras,
+    overwrite: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> int:
+    from lambent.denoise import sequence
+    from lambent.errors import FileError
+
+    if len(sources) == 1:
+        jobs, missing = sequence.find_jobs(sources[0], frames, output)
+        what = sources[0]
+    else:
+        jobs, missing = sequence.listed_jobs(sources, output), ()
+        what = f"{len(sources)} files"
+    if not jobs:
+        raise FileError("holds no EXR file", file=what, remedy="check the name and --frames")
+    todo, finished = sequence.sort_out(jobs, settings, overwrite)
+    if missing:
+        _say(f"missing: {_ranges(missing)} ({_count(len(missing), 'frame')} of the range)")
+    if dry_run:
+        _print_many_plan(todo, finished, missing, settings, as_json)
+        return 0
+    if finished:
+        _say(f"{_count(len(finished), 'frame')} finished earlier, skipped")
+    sequence.make_folders(todo)
+    written: dict[str, str] = {}
+
+    def on_done(job: Job, processed: Processed, result: Result) -> None:
+        for kind, path in extras.write(processed, result).items():
+            written[str(path)] = kind
+        if not as_json:
+            _print_line(result)
+
+    with Progress(what, quiet=as_json) as progress:
+        done, failed = sequence.run_jobs(todo, settings, progress.report, on_done, extras.any)
+    if as_json:
+        print_json(
+            {
+                "done": [result.as_dict() for result in done],
+                "skipped": [str(job.output) for job in finished],
+                "missing": list(missing),
+                "failed": [
+                    {"source": str(job.source), "error": error.message} for job, error in failed
+                ],
+                "written": written,
+            }
+        )
+    for _, error in failed:
+        _say(f"error: {error}")
+    summary = [_count(len(done), "frame") + " cleaned"]
+    summary += [f"{len(finished)} skipped"] if finished else []
+    summary += [f"{len(missing)} missing"] if missing else []
+    summary += [f"{len(failed)} failed"] if failed else []
+    _say(", ".join(summary))
+    return failed[0][1].exit_code if failed else 0
+
+
+def _print_line(result: Result) -> None:
+    remarks = "".join(f"; {line}" for line in (*result.repairs, *result.notes))
+    print(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}", flush=True)
+
+
+def _print_many_plan(
+    todo: list[Job],
+    finished: list[Job],
+    missing: tuple[int, ...],
+    settings: Settings,
+    as_json: bool,
+) -> None:
+    from lambent.denoise import files
+
+    first = files.outline(todo[0].source, todo[0].output, settings) if todo else None
+    if as_json:
+        print_json(
+            {
+                "todo": [{"source": str(j.source), "output": str(j.output)} for j in todo],
+                "skipped": [str(j.output) for j in finished],
+                "missing": list(missing),
+                "first": first,
+            }
+        )
+        return
+    for job in todo:
+        print(f"{job.source} → {job.output}")
+    print(f"{_count(len(todo), 'frame')} to do, {len(finished)} finished")
+    if first is not None:
+        print("\nThe first:")
+        _print_plan(first)
+
+
+def _ranges(numbers: tuple[int, ...]) -> str:
+    """``(1, 2, 3, 7)`` to ``"1-3, 7"``."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+# ----------------------------------------------------------------- companions
+
+
+class _Extras:
+    """The preview and the report, written beside the output."""
+
+    def __init__(self, preview: bool, report: bool) -> None:
+        self._preview, self._report = preview, report
+
+    @property
+    def any(self) -> bool:
+        """Whether the input has to be kept until the result is there."""
+        return self._preview or self._report
+
+    def write(self, processed: Processed, result: Result) -> dict[str, Path]:
+        """Write what was asked for; return what was written, by kind."""
+        from lambent.denoise.files import write_preview
+
+        if not self.any:
+            return {}
+        assert result.output is not None
+        written: dict[str, Path] = {}
+        view = next(iter(processed.views))
+        before, after = processed.before[view], processed.views[view]
+        if self._preview:
+            path = result.output.with_name(result.output.stem + "_preview.png")
+            written["preview"] = write_preview(path, before, after)
+        if self._report:
+            from lambent.report import write_denoise_report
+
+            path = result.output.with_suffix(".html")
+            written["report"] = write_denoise_report(path, before, after, result.as_dict())
+        return written
+
+
+def _limit_threads(threads: int) -> None:
+    """Let this process use only so many processors, before any engine makes its threads."""
+    if threads < 1 or not hasattr(os, "sched_setaffinity"):
+        return
+    allowed = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, set(allowed[:threads]))

@@ -1,0 +1,38 @@
+"""Show the weights with which a filter averages around one pixel.
+
+Prints the sum of the weights, the variance that is left (the sum of their squares), how many
+pixels the average is worth, and the bias it risks; with -o also a picture of the weights.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lambent.cli.options import JsonOption, MapOption, ModelOption, SetOption, pairs, print_json
+from lambent.cli.progress import Progress
+
+EPILOG = "Example: lambent explain noisy.exr --pixel 120,80 --model cross-bilateral -o weights.png"
+
+
+def explain(
+    frame: Annotated[Path, typer.Argument(metavar="FRAME", help="A noisy frame.")],
+    pixel: Annotated[
+        str,
+        typer.Option("--pixel", metavar="X,Y", help="The pixel: column,row from the upper left."),
+    ],
+    model: ModelOption = "cross-bilateral",
+    setting: SetOption = None,
+    mapping: MapOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="PICTURE.png", help="Write the weights as a PNG."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a picture that exists.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
