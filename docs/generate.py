@@ -19,6 +19,7 @@ def everything(folder: Path) -> None:
     for name, page in filters():
         _write(folder / "filters" / f"{name}.md", page)
     _write(folder / "filters.md", filter_table())
+    _write(folder / "dialects.md", dialects())
 
 
 def _write(path: Path, text: str) -> None:
@@ -156,3 +157,25 @@ def filters() -> list[tuple[str, str]]:
 def _type(kind: Any) -> str:
     text = getattr(kind, "__name__", None) if isinstance(kind, type) else str(kind)
     return "`" + str(text).replace("typing.", "").replace("|", "or") + "`"
+
+
+# ------------------------------------------------------------------ dialects
+
+
+def dialects() -> str:
+    """One table a renderer: layer names and the roles they mean."""
+    from lambent.frame.dialects import DIALECTS
+
+    out: list[str] = []
+    for name in DIALECTS:
+        dialect = DIALECTS[name]
+        out += [f"### {dialect.title}", ""]
+        if dialect.verified:
+            out += [f"Names looked up in: {dialect.verified}.", ""]
+        out += ["| layer (pattern) | role | what it is |", "| --- | --- | --- |"]
+        for rule in dialect.rules:
+            role = rule.role.value + ("" if rule.stat.value == "mean" else f".{rule.stat.value}")
+            pattern = rule.pattern.replace("|", "\\|")
+            out.append(f"| `{pattern}` | {role} | {_cell(rule.what)} |")
+        out.append("")
+    return "\n".join(out)
