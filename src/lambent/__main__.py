@@ -1,6 +1,8 @@
 """`python -m lambent` is the command `lambent`."""
 
+import sys
+
 from lambent.cli import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

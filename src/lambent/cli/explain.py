@@ -11,7 +11,14 @@ from typing import Annotated
 
 import typer
 
-from lambent.cli.options import JsonOption, MapOption, ModelOption, SetOption, pairs, print_json
+from lambent.cli.options import (
+    JsonOption,
+    MapOption,
+    ModelOption,
+    SetOption,
+    pairs,
+    print_json,
+)
 from lambent.cli.progress import Progress
 
 EPILOG = "Example: lambent explain noisy.exr --pixel 120,80 --model cross-bilateral -o weights.png"
@@ -36,3 +43,23 @@ def explain(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
+    from lambent.errors import OutputError
+    from lambent.filters.explain import explain as find_weights
+    from lambent.frame.files import read
+    from lambent.frame.repair import repair
+
+    x, y = _pixel(pixel)
+    if output is not None and output.exists() and not overwrite:
+        raise OutputError(
+            "this file exists already", file=output, remedy="allow replacing it with --overwrite"
+        )
+    with Progress("explaining", quiet=as_json) as progress:
+        progress.report(0, 1, "reading")
+        noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None))
+        progress.report(0, 1, f"weights of {model}")
+        found = find_weights(noisy, model, x, y, **pairs("--set", setting))
+        if output is not None:
+            from lambent.frame.atomic import atomic
+
+            with atomic(output, overwrite) as file:
+                file.write(found.to_png())

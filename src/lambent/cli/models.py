@@ -6,6 +6,7 @@ With NAME, describe that one: its parameters with their defaults, for --set.
 from __future__ import annotations
 
 import shutil
+import sys
 import textwrap
 from typing import Annotated, Any
 
@@ -24,13 +25,19 @@ def models(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
+    from lambent.errors import LambentError
     from lambent.filters.denoiser import DEFAULT_MODEL, DENOISERS
 
     if name is not None:
         card = _card(name)
         print_json(card) if as_json else _print_card(card)
         return
-    cards = [_card(one) for one in DENOISERS]
+    cards = []
+    for one in DENOISERS:
+        try:
+            cards.append(_card(one))
+        except LambentError as error:  # somebody's plug-in; the others are still worth listing
+            print(f"warning: {error}", file=sys.stderr)
     if as_json:
         print_json({"default": DEFAULT_MODEL, "models": cards})
     else:

@@ -1,0 +1,43 @@
+"""`lambent models`: complete, and the same in JSON."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from lambent.cli import main
+from lambent.filters.denoiser import DENOISERS, parameters
+
+
+def test_every_model_is_listed_with_its_paper(capsys):
+    assert main(["models", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [card["name"] for card in found["models"]] == list(DENOISERS)
+    assert all(card["paper"] and card["title"] and card["needs"] for card in found["models"])
+    assert found["default"] in DENOISERS
+
+
+def test_one_model_shows_its_parameters_with_defaults(capsys):
+    assert main(["models", "oidn"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in parameters("oidn"))
+
+
+def test_the_table_fits_the_terminal(capsys, monkeypatch):
+    for columns in (80, 120):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        assert main(["models"]) == 0
+        assert max(map(len, capsys.readouterr().out.splitlines())) <= columns
+
+
+def test_an_unknown_model_is_answered_with_the_nearest(capsys):
+    assert main(["models", "oidm"]) == 4
+    assert "did you mean oidn" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["oidn", "oidn-best"])
+def test_json_of_one_model_has_types(capsys, name):
+    assert main(["models", name, "--json"]) == 0
+    card = json.loads(capsys.readouterr().out)
+    assert {p["name"] for p in card["parameters"]} == set(parameters(name))
