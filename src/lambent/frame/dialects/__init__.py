@@ -82,16 +82,13 @@ def identify(
     scopes = {scope_of(image, dialect)[0] for image in images}
     told = {s: spp or samples(exr, dialect, s, generic) for s in scopes | {""}}
     matches, notes = assign(images, dialect, generic, _cryptomattes(exr), told)
-    wanted = asked_for(images, overrides or {}, getattr(exr, "path", None))
+    wanted = asked_for(images, overrides or {}, exr.path)
     asked = [scope_of(i, dialect)[0] for role, _, i in wanted if role is Role.COLOUR]
     scope = chosen_scope(matches, asked[0] if asked else "")
     if wanted:
-        if scope and not asked:
-            # A bare pass name that every view layer has means that of the view layer in use.
-            layers = {m.image.name: m.image for m in matches if m.scope in ("", scope)}
-            wanted = [
-                (r, s, layers.get(f"{scope}.{scope_of(i, dialect)[1]}", i)) for r, s, i in wanted
-            ]
+        # A bare pass name that every view layer has means that of the view layer in use.
+        near = sorted(images, key=lambda image: scope_of(image, dialect)[0] not in ("", scope))
+        wanted = asked_for(near, overrides or {}, exr.path)
         matches = overridden(matches, wanted)
         mapped = {id(image) for _, _, image in wanted}
         matches = [replace(m, scope=scope) if id(m.image) in mapped else m for m in matches]

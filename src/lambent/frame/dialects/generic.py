@@ -68,7 +68,6 @@ def _rules() -> tuple[Rule, ...]:
         Rule(r"(light_?group|lg)[_ .].+|(rgba?|beauty|combined)_.+", Role.LIGHTING, "light group"),
         Rule(r"sss|subsurface|transmission|refraction|reflection|environment|background|volume",
              Role.LIGHTING, "a part of the light"),
-        Rule(r".+\.(a|alpha)", Role.OTHER, "alpha of a layer that is not the colour"),
     ]  # fmt: skip
     return tuple(rules)
 

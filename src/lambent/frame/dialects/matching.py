@@ -154,6 +154,7 @@ def assign(
         beside.setdefault((image.view, scope), set()).add(text.lower())
     tables = [(d, d.title) for d in (dialect, generic) if d is not None]
     mattes = [compiled(re.escape(name) + r"\d*(\.\w+)?") for name in crypto]
+    parents: dict[tuple[int, str], Match] = {}
     matches: list[Match] = []
     notes: list[str] = []
     for image in images:
@@ -162,6 +163,13 @@ def assign(
         if any(matte.fullmatch(image.name) for matte in mattes):
             why = "the header lists it as a cryptomatte"
             matches.append(Match(image, _found(image, Role.ID, why), 0, scope))
+            continue
+        parent = parents.get(image.channels[0])
+        if parent is not None:
+            # `settle` makes the alpha of the colour the frame's alpha.
+            role = Role.ID if parent.found.role is Role.ID else Role.OTHER
+            found = _found(image, role, f"alpha of '{parent.found.name}'")
+            matches.append(Match(image, found, 0, scope))
             continue
         match, offset = None, 0
         for table, title in tables:
@@ -184,6 +192,8 @@ def assign(
             why = f"no table has a meaning for '{shown}'"
             match = Match(image, _found(image, Role.OTHER, why), offset, scope)
         matches.append(match)
+        if image.alpha is not None:
+            parents[image.alpha] = match
     return matches, notes
 
 
