@@ -222,9 +222,8 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     chosen = choose_layers(repaired, settings)
     if settings.strength == 0.0 or not _any_light(chosen):
         why = "strength is 0" if settings.strength == 0.0 else "the image is black all over"
-        return Cleaned(
-            repaired.noted(f"{why}: nothing was filtered"), (), repairs, None, clock.seconds
-        )
+        same = repaired.noted(f"{why}: nothing was filtered")
+        return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
     fitted = denoiser.fitted(repaired)
     plan = plan_frame(repaired, fitted, chosen, settings)
@@ -232,7 +231,13 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
         progress(0, 1, "filtering")
     cleaned = filter_tiles(fitted, repaired, chosen, plan, progress)
     clock.done("filter")
-    finished = _finish(repaired, chosen, cleaned, settings.strength)
+    finished = _finish(
+        frame.noted(*repaired.notes[len(frame.notes) :]),
+        repaired,
+        chosen,
+        cleaned,
+        settings.strength,
+    )
     clock.done("blend")
     names = tuple(layer.name for layer in chosen)
     return Cleaned(finished, names, repairs, plan, clock.seconds)
@@ -367,11 +372,11 @@ def _finish(frame: Frame, chosen: list[Layer], cleaned: list[FloatImage], streng
     filtered_alpha = any(layer.role is Role.ALPHA for layer in chosen)
     empty = None
     if alpha is not None and not filtered_alpha:
-        beauty = frame[Role.COLOUR]
+        beauty = repaired[Role.COLOUR]
         empty = (alpha.data[..., 0] <= 0) & ~beauty.any(axis=2)
         if not empty.any():
             empty = None
-    result = frame
+    result = original
     for layer, image in zip(chosen, cleaned, strict=True):
         if layer.role is Role.ALPHA:
             image = np.clip(image, 0.0, 1.0)

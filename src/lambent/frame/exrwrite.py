@@ -65,11 +65,13 @@ def encode(
     exr: ExrFile,
     replaced: Replaced | None = None,
     overwrite: bool = False,
+    attributes: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
     """Write the file again with some channels replaced, atomically; see the module's docstring.
 
     ``replaced``: ``(part index, channel name)`` to pixels ``(h, w)`` of the channel's sampled
-    size; they are converted to the channel's type (`to_type`). Returns what a person should know,
+    size; they are converted to the channel's type (`to_type`). ``attributes``: texts to add to the
+    first part's header (one of that name is replaced). Returns what a person should know,
     one sentence each. Raises `LayerError` for a wrong size or an unknown channel, `OutputError`.
     """
     container = exr.container
@@ -77,12 +79,13 @@ def encode(
     by_part = _by_part(exr, replaced or {})
     notes: list[str] = []
     with atomic(path, overwrite) as out:
-        if not by_part:
+        if not by_part and not attributes:
             _copy(container, out, [(0, container.size)])
             return ()
         packs = [
             _Repack(container, part, by_part.get(part.index, {}), notes) for part in container.parts
         ]
+        packs[0].add(attributes or {})
         out.write(container.read(0, 8))
         for pack in packs:
             out.write(pack.header)
@@ -165,6 +168,22 @@ class _Repack:
             found = self.part.find(name)
             if found is not None:
                 header[found.at : found.at + len(found.raw)] = raw
+        self.header = bytes(header)
+
+    def add(self, attributes: Mapping[str, str]) -> None:
+        """Put texts into the header, before the byte that ends it."""
+        header = bytearray(self.header)
+        for name, text in attributes.items():
+            key, value = name.encode() + b"\0string\0", text.encode()
+            entry = key + struct.pack("<i", len(value)) + value
+            old = self.part.find(name)
+            if old is not None:
+                lead = len(name.encode()) + 1 + len(old.kind.encode()) + 1 + 4
+                whole = bytes(self.part.raw[old.at - lead : old.at + len(old.raw)])
+                at = header.find(whole)
+                header[at : at + len(whole)] = entry
+            else:
+                header[-1:-1] = entry
         self.header = bytes(header)
 
     def _arrays(self, a: int, b: int, level: Level, shrunk: Mapping[str, Any]) -> Arrays:

@@ -202,10 +202,13 @@ class Frame:
         return self.replace(notes=(*self.notes, *notes))
 
     def crop(self, top: int, bottom: int, left: int, right: int) -> Frame:
-        """Rows ``top:bottom`` and columns ``left:right`` of every layer (views, not copies)."""
+        """Rows ``top:bottom`` and columns ``left:right`` of every layer, cut when looked at."""
 
         def cut(layer: Layer) -> Layer:
-            return layer.with_data(layer.data[top:bottom, left:right])
+            def pixels() -> FloatImage:
+                return layer.data[top:bottom, left:right]
+
+            return dataclasses.replace(layer, pixels=pixels, _decoded=[])
 
         return self.replace(
             layers={k: cut(v) for k, v in self.layers.items()},
