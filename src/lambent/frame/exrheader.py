@@ -208,7 +208,7 @@ class Container:
         self.path = Path("(memory)") if path is None else Path(path)
         self._content = content
         if content is None:
-            self._fd = _open(self.path)
+            self._fd = open_file(self.path)
             weakref.finalize(self, os.close, self._fd)
             self.size = os.fstat(self._fd).st_size
         else:
@@ -297,7 +297,8 @@ def coordinates(part: PartHeader) -> NDArray[np.int32]:
 # ------------------------------------------------------------------- opening
 
 
-def _open(path: Path) -> int:
+def open_file(path: Path) -> int:
+    """A descriptor for reading. Raises `FileError` that says what is there instead."""
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
     except FileNotFoundError:

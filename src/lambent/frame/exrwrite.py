@@ -86,7 +86,7 @@ def encode(
             _Repack(container, part, by_part.get(part.index, {}), notes) for part in container.parts
         ]
         packs[0].add(attributes or {})
-        out.write(container.read(0, 8))
+        out.write(_magic(container, attributes or {}))
         for pack in packs:
             out.write(pack.header)
         if container.multipart:
@@ -98,6 +98,13 @@ def encode(
         for offset in offsets:
             out.write(offset.astype("<u8").tobytes())
     return tuple(notes)
+
+
+def _magic(container: Container, attributes: Mapping[str, str]) -> bytes:
+    """Magic number and version, with the flag that names longer than 31 bytes need."""
+    long_names = any(len(name.encode()) > 31 for name in attributes)
+    version = container.version | (0x400 if long_names else 0)
+    return container.read(0, 4) + struct.pack("<I", version)
 
 
 def _by_part(exr: ExrFile, replaced: Replaced) -> dict[int, dict[str, NDArray[Any]]]:

@@ -1,0 +1,280 @@
+"""Reading and writing frames: the one door to every file format.
+
+`read` tells formats by their first bytes, never by the name; `write` by the ending of the name.
+A frame that came from an EXR is written back into that EXR: its changed layers get their new
+pixels, everything else stays bit for bit (`lambent.frame.exrwrite`). Writes are atomic.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from lambent.errors import FileError, LayerError, OutputError
+from lambent.frame.frame import Frame
+from lambent.frame.layer import Layer
+from lambent.frame.magic import kind_of
+from lambent.frame.origin import Origin
+from lambent.frame.role import Role, Space
+
+#: Ending -> kind of file that `write` makes.
+ENDINGS = {
+    ".exr": "exr",
+    ".png": "png",
+    ".jpg": "jpeg",
+    ".jpeg": "jpeg",
+    ".tif": "tiff",
+    ".tiff": "tiff",
+    ".hdr": "hdr",
+    ".rgbe": "hdr",
+    ".pic": "hdr",
+}
+READABLE = ("exr", "png", "jpeg", "tiff", "hdr")
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file that was written, and what a person should know about how."""
+
+    path: Path
+    notes: tuple[str, ...] = ()
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    view: str | None = None,
+    roles: Mapping[str, str] | None = None,
+    spp: int | None = None,
+) -> Frame:
+    """The frame in a file: EXR, PNG, JPEG, TIFF or Radiance HDR.
+
+    ``view``: of a stereo EXR, by name; None is the main one. ``roles``: the user's own
+    ``{role: layer}``. ``spp``: samples per pixel, where the file does not tell.
+    Display-referred images become linear, with a note. Layers of an EXR are decoded when they are
+    looked at. Raises `FileError`, `DamagedFileError`, `DeepFileError`, `UnknownNameError`,
+    `LayerError`, `OptionError`.
+    """
+    path = Path(path)
+    if _kind(path) != "exr":
+        return _read_image(path, view, roles, spp)
+    from lambent.frame.dialects import identify
+    from lambent.frame.exr import decode
+    from lambent.frame.exrframe import frame_of
+
+    exr = decode(path)
+    return frame_of(exr, identify(exr, roles, spp), view, spp, roles)
+
+
+def read_views(
+    path: str | os.PathLike[str],
+    *,
+    roles: Mapping[str, str] | None = None,
+    spp: int | None = None,
+) -> dict[str, Frame]:
+    """Every stereo view of a file as a frame, the main one first; ``{"": frame}`` if only one."""
+    path = Path(path)
+    if _kind(path) != "exr":
+        return {"": _read_image(path, None, roles, spp)}
+    from lambent.frame.dialects import identify
+    from lambent.frame.exr import decode
+    from lambent.frame.exrframe import frame_of
+
+    exr = decode(path)
+    identified = identify(exr, roles, spp)
+    views = identified.views or ("",)
+    return {view: frame_of(exr, identified, view, spp, roles) for view in views}
+
+
+def write(
+    path: str | os.PathLike[str],
+    frame: Frame,
+    *,
+    overwrite: bool = False,
+    half: bool = False,
+    attributes: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a frame; the ending of the name tells the format. Returns the path.
+
+    EXR: back into the frame's own EXR if it has one, else a new file (``half``: 16-bit channels).
+    PNG, JPEG, TIFF, HDR: the beauty (and alpha), with 16 bits where the frame was read from 16.
+    ``attributes``: texts for the header of an EXR. Use `write_noted` to learn what was clamped,
+    clipped or left out. Raises `OutputError`; nothing is left behind then.
+    """
+    return write_noted(path, frame, overwrite=overwrite, half=half, attributes=attributes).path
+
+
+def write_noted(
+    path: str | os.PathLike[str],
+    frame: Frame,
+    *,
+    overwrite: bool = False,
+    half: bool = False,
+    attributes: Mapping[str, str] | None = None,
+) -> Written:
+    """Like `write`, and says in sentences what a person should know."""
+    kind = _target_kind(path)
+    if kind != "exr":
+        return Written(Path(path), _write_image(path, kind, frame, overwrite))
+    return write_views_noted(
+        path, {frame.view: frame}, overwrite=overwrite, half=half, attributes=attributes
+    )
+
+
+def write_views(
+    path: str | os.PathLike[str],
+    frames: Mapping[str, Frame],
+    *,
+    overwrite: bool = False,
+    half: bool = False,
+    attributes: Mapping[str, str] | None = None,
+) -> Path:
+    """Write the stereo views of one picture into one EXR (see `write`), the main one first."""
+    return write_views_noted(
+        path, frames, overwrite=overwrite, half=half, attributes=attributes
+    ).path
+
+
+def write_views_noted(
+    path: str | os.PathLike[str],
+    frames: Mapping[str, Frame],
+    *,
+    overwrite: bool = False,
+    half: bool = False,
+    attributes: Mapping[str, str] | None = None,
+) -> Written:
+    """Like `write_views`, and says in sentences what a person should know."""
+    if _target_kind(path) != "exr":
+        raise OutputError(
+            "only an EXR holds stereo views", file=path, remedy="give it the ending .exr"
+        )
+    if not frames:
+        raise LayerError("there are no views to write", file=path)
+    from lambent.frame.exrframe import ExrOrigin, replaced_channels
+    from lambent.frame.exrwrite import encode
+
+    origins = [f.origin.payload if f.origin else None for f in frames.values()]
+    files = {id(o.exr) for o in origins if isinstance(o, ExrOrigin)}
+    if not files:
+        return Written(Path(path), _write_new(path, frames, overwrite, half, attributes))
+    first = origins[0]
+    if len(files) > 1 or not isinstance(first, ExrOrigin) or None in origins:
+        raise LayerError(
+            "the views come from different files",
+            file=path,
+            remedy="read them with read_views, or write each to a file of its own",
+        )
+    replaced, notes = {}, []
+    for frame in frames.values():
+        assert frame.origin is not None
+        channels, remarks = replaced_channels(frame, frame.origin.payload)
+        replaced.update(channels)
+        notes += remarks
+    notes += encode(path, first.exr, replaced, overwrite, attributes)
+    return Written(Path(path), tuple(notes))
+
+
+def _write_new(
+    path: str | os.PathLike[str],
+    frames: Mapping[str, Frame],
+    overwrite: bool,
+    half: bool,
+    texts: Mapping[str, str] | None,
+) -> tuple[str, ...]:
+    from lambent.frame.exrnew import planes_of, write_new
+
+    views = [view for view in frames if view]
+    planes = {}
+    for n, (view, frame) in enumerate(frames.items()):
+        planes.update(planes_of(frame, f"{view}." if n and view else ""))
+    first = next(iter(frames.values()))
+    attributes: dict[str, int | str | list[str]] = dict(texts or {})
+    if first.spp is not None:
+        attributes["spp"] = first.spp
+    if len(views) > 1:
+        attributes["multiView"] = views
+    write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
+    return ()
+
+
+# -------------------------------------------------------------------- images
+
+
+def _read_image(
+    path: Path, view: str | None, roles: Mapping[str, str] | None, spp: int | None
+) -> Frame:
+    from lambent.frame.ldr import read_image
+
+    if view:
+        raise FileError(f"there is no view '{view}': only EXR files have views", file=path)
+    if roles:
+        raise LayerError(
+            f"a {_kind(path).upper()} has no layers to map to {', '.join(roles)}", file=path
+        )
+    image = read_image(path)
+    layers = [
+        Layer(Role.COLOUR, image.colour, name="RGB", space=Space.LINEAR, why="the only picture")
+    ]
+    if image.alpha is not None:
+        layers.append(Layer(Role.ALPHA, image.alpha, name="A", why="the picture's alpha"))
+    return Frame.from_layers(
+        layers,
+        spp=spp,
+        origin=Origin(path, image.kind, image.facts),
+        notes=image.notes,
+    )
+
+
+def _write_image(
+    path: str | os.PathLike[str], kind: str, frame: Frame, overwrite: bool
+) -> tuple[str, ...]:
+    from lambent.frame.ldr import Facts, write_image
+
+    facts = frame.origin.payload if frame.origin else None
+    left_out = [f.name for f in frame.all_layers() if f.role not in (Role.COLOUR, Role.ALPHA)]
+    notes = write_image(
+        path,
+        kind,
+        frame[Role.COLOUR],
+        frame.get(Role.ALPHA),
+        facts if isinstance(facts, Facts) else Facts(),
+        overwrite,
+    )
+    if left_out:
+        notes = (*notes, f"A {kind.upper()} holds one picture: {', '.join(left_out)} left out.")
+    return notes
+
+
+def _kind(path: Path) -> str:
+    """The kind of a file by its first bytes. Raises `FileError` for what Lambent cannot read."""
+    from lambent.frame.exrheader import open_file
+
+    descriptor = open_file(path)
+    try:
+        start = os.pread(descriptor, 16, 0)
+    finally:
+        os.close(descriptor)
+    if not start:
+        raise FileError("is empty", file=path, remedy="copy or render it again")
+    found = kind_of(start)
+    if found is None and path.suffix.lower() == ".exr":
+        return "exr"  # its reader says what is wrong with it
+    if found is None or found[0] not in READABLE:
+        words = found[1] if found else "of a kind that Lambent does not know"
+        raise FileError(
+            f"is {words}", file=path, remedy="Lambent reads EXR, PNG, JPEG, TIFF and Radiance HDR"
+        )
+    return found[0]
+
+
+def _target_kind(path: str | os.PathLike[str]) -> str:
+    ending = Path(path).suffix.lower()
+    if ending not in ENDINGS:
+        raise OutputError(
+            f"cannot tell the format from the ending '{ending}'",
+            file=path,
+            remedy=f"end the name in {', '.join(ENDINGS)}",
+        )
+    return ENDINGS[ending]

@@ -1,0 +1,126 @@
+"""PNG with 16 bits a channel, which Pillow reads and writes only in grey.
+
+"Portable Network Graphics (PNG) Specification", W3C, third edition, 2025; section 9 has the five
+row filters. Undoing them is sequential along both axes: pixels on one anti-diagonal do not depend
+on each other, so a whole diagonal is done at once.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import DamagedFileError, FileError
+
+MAGIC = b"\x89PNG\r\n\x1a\n"
+#: Colour type -> channels.
+_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+_REMEDY = "the file is damaged: copy it again"
+
+
+def header(content: bytes, path: object = None) -> tuple[int, int, int, int, int]:
+    """Width, height, bits, colour type, interlace. Raises `DamagedFileError`."""
+    if content[12:16] != b"IHDR" or len(content) < 33:
+        raise DamagedFileError("has no PNG header", file=path, remedy=_REMEDY)
+    width, height, bits, kind, _, _, interlace = struct.unpack(">IIBBBBB", content[16:29])
+    return width, height, bits, kind, interlace
+
+
+def read_png16(content: bytes, path: object = None) -> NDArray[np.uint16]:
+    """``(H, W, C)`` uint16 from the bytes of a 16-bit PNG.
+
+    Raises `FileError` for an interlaced one, `DamagedFileError`.
+    """
+    width, height, bits, kind, interlace = header(content, path)
+    if interlace:
+        raise FileError(
+            "is an interlaced PNG of 16 bits", file=path, remedy="save it without interlacing"
+        )
+    if bits != 16 or kind not in _CHANNELS or not 0 < width * height < 1 << 30:
+        raise DamagedFileError("has an impossible PNG header", file=path, remedy=_REMEDY)
+    step = 2 * _CHANNELS[kind]
+    try:
+        unpacker = zlib.decompressobj()
+        raw = unpacker.decompress(b"".join(_data(content, path)), height * (1 + width * step))
+    except zlib.error as error:
+        raise DamagedFileError(f"cannot be unpacked ({error})", file=path, remedy=_REMEDY) from None
+    if len(raw) != height * (1 + width * step):
+        raise DamagedFileError("ends before its last row", file=path, remedy=_REMEDY)
+    rows = np.frombuffer(raw, np.uint8).reshape(height, 1 + width * step)
+    if rows[:, 0].max() > 4:
+        raise DamagedFileError("uses an unknown row filter", file=path, remedy=_REMEDY)
+    pixels = _unfilter(rows[:, 0], rows[:, 1:].reshape(height, width, step))
+    return (
+        pixels.reshape(height, width * step)
+        .view(">u2")
+        .astype(np.uint16)
+        .reshape(height, width, step // 2)
+    )
+
+
+def write_png16(image: NDArray[np.uint16]) -> bytes:
+    """The bytes of a PNG from ``(H, W, C)`` uint16, C in 1 to 4."""
+    height, width, channels = image.shape
+    kind = {1: 0, 2: 4, 3: 2, 4: 6}[channels]
+    step = 2 * channels
+    rows = np.ascontiguousarray(image.astype(">u2")).view(np.uint8).reshape(height, width * step)
+    left = np.zeros_like(rows)
+    left[:, step:] = rows[:, :-step]
+    up = np.zeros_like(rows)
+    up[1:] = rows[:-1]
+    candidates = np.stack([rows, rows - left, rows - up])  # filters 0, 1, 2
+    # The usual heuristic: least sum of absolute differences.
+    cost = np.abs(candidates.view(np.int8).astype(np.int16)).sum(axis=2, dtype=np.int64)
+    best = np.argmin(cost, axis=0)
+    filtered = np.empty((height, 1 + width * step), np.uint8)
+    filtered[:, 0] = best
+    filtered[:, 1:] = candidates[best, np.arange(height)]
+    head = struct.pack(">IIBBBBB", width, height, 16, kind, 0, 0, 0)
+    return b"".join([
+        MAGIC,
+        _chunk(b"IHDR", head),
+        _chunk(b"sRGB", b"\0"),
+        _chunk(b"IDAT", zlib.compress(filtered.tobytes(), 6)),
+        _chunk(b"IEND", b""),
+    ])  # fmt: skip
+
+
+def _chunk(name: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+
+def _data(content: bytes, path: object) -> list[bytes]:
+    found, at = [], len(MAGIC)
+    while at + 12 <= len(content):
+        (size,) = struct.unpack_from(">I", content, at)
+        name, body = content[at + 4 : at + 8], content[at + 8 : at + 8 + size]
+        check = content[at + 8 + size : at + 12 + size]
+        if check != struct.pack(">I", zlib.crc32(name + body)):
+            raise DamagedFileError("has a wrong checksum", file=path, remedy=_REMEDY)
+        if name == b"IDAT":
+            found.append(body)
+        if name == b"IEND":
+            return found
+        at += 12 + size
+    raise DamagedFileError("ends too early", file=path, remedy=_REMEDY)
+
+
+def _unfilter(kinds: NDArray[np.uint8], rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Undo the row filters of ``(H, W, bytes)``, one anti-diagonal at a time."""
+    height, width, step = rows.shape
+    out = np.zeros((height + 1, width + 1, step), np.int16)
+    kind = kinds.astype(np.int16)[:, None]
+    source = rows.astype(np.int16)
+    for diagonal in range(height + width - 1):
+        y = np.arange(max(0, diagonal - width + 1), min(height, diagonal + 1))
+        x = diagonal - y
+        a, b, c = out[y + 1, x], out[y, x + 1], out[y, x]  # left, above, above left
+        k = kind[y]
+        pa, pb, pc = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
+        paeth = np.where((pa <= pb) & (pa <= pc), a, np.where(pb <= pc, b, c))
+        guess = np.select([k == 1, k == 2, k == 3, k == 4], [a, b, (a + b) >> 1, paeth], 0)
+        out[y + 1, x + 1] = (source[y, x] + guess) & 255
+    return np.ascontiguousarray(out[1:, 1:].astype(np.uint8))
