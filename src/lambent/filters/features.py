@@ -1,0 +1,237 @@
+"""The features of a frame as every filter sees them: scaled alike, misses told apart.
+
+========== ============================================== ==========================
+role       becomes                                        its variance is divided by
+========== ============================================== ==========================
+albedo     as it is, reflectance                          1
+normal     as it is, components in [-1, 1]                1
+roughness  as it is                                       1
+depth      ln(depth / median depth): 0.1 is ten per cent  depth²
+position   (P - centre) / extent of the scene             extent²
+miss       1 where nothing was hit, else 0                (none: exact)
+========== ============================================== ==========================
+
+Logarithm, not depth itself: a step of ten per cent is as visible far away as near, and the feature
+does not depend on the scene's unit. Misses of depth (0, infinity, 1e10 and the like) are put one
+unit behind the farthest hit, misses of position in the centre; a channel ``miss`` is added where
+the frame has any. All frame-wide numbers are in a `Scales`, so that a tile can be given those of
+its whole frame.
+
+Variances are those of the pixel means. Where a layer has none but two half buffers, the variance
+is estimated as (a - b)²/4, averaged over 5x5 pixels (Rousselle et al. 2012, section 4.1, with a
+box for their smoothing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import OptionError
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.role import INFO, Role, Stat
+
+#: Pixels around a pixel that its features may depend on (the variance from half buffers).
+MARGIN = 2
+
+#: Depths from here on are misses, whatever the table says.
+_FAR = 1e10
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Frame-wide numbers: depth in scene units, the scene's centre and extent, any misses."""
+
+    depth_median: float = 1.0
+    depth_far: float = 1.0
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    extent: float = 1.0
+    misses: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Feature channels of a frame.
+
+    ``stack`` ``(H, W, F)`` float32, always finite. ``variance`` ``(H, W, F)`` of the pixel means in
+    the same scale (0 where a layer tells none), or None where no layer does. ``names``: one a
+    channel ("albedo.r", "depth", "miss"). ``valid`` ``(H, W)``: False where a layer held NaN or
+    an infinity that is no miss; such values are 0 in the stack.
+    """
+
+    stack: FloatImage
+    variance: FloatImage | None
+    names: tuple[str, ...]
+    valid: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, role: Role) -> list[int]:
+        """The channels that come from a role."""
+        return [i for i, n in enumerate(self.names) if n.partition(".")[0] == role.value]
+
+
+def default_roles(frame: Frame) -> tuple[Role, ...]:
+    """The guides taken unless told otherwise.
+
+    Albedo (the diffuse and specular ones where there is no whole one), normal, depth (position
+    where there is no depth: both say the same), roughness.
+    """
+    have = [role for role in Role if INFO[role].guide and frame.has(role)]
+    if Role.ALBEDO in have:
+        have = [r for r in have if r not in (Role.DIFFUSE_ALBEDO, Role.SPECULAR_ALBEDO)]
+    if Role.DEPTH in have:
+        have = [r for r in have if r is not Role.POSITION]
+    return tuple(have)
+
+
+def features(
+    frame: Frame, roles: Iterable[Role] | None = None, scales: Scales | None = None
+) -> Features:
+    """Normalised features of a frame.
+
+    ``roles``: which guides (None: `default_roles`; a role the frame lacks raises `LayerError`).
+    ``scales``: those of the whole frame where ``frame`` is a tile (None: measured here).
+    A frame without guides gives zero channels.
+    """
+    chosen = tuple(roles) if roles is not None else default_roles(frame)
+    for role in chosen:
+        if not INFO[role].guide:
+            raise OptionError(
+                f"'{role.value}' is no feature",
+                remedy=f"take some of {', '.join(r.value for r in Role if INFO[r].guide)}",
+            )
+    scales = scales or fit_scales(frame)
+    shape = (frame.height, frame.width)
+    valid = np.ones(shape, bool)
+    miss = misses(frame)
+    stacks: list[NDArray[np.float32]] = []
+    variances: list[NDArray[np.float32] | None] = []
+    names: list[str] = []
+    for role in chosen:
+        image, variance, bad = _scaled(frame, role, scales, miss)
+        valid &= ~bad
+        stacks.append(image)
+        variances.append(variance)
+        names += channel_names(role, image.shape[2])
+    if scales.misses and any(r in (Role.DEPTH, Role.POSITION) for r in chosen):
+        stacks.append(miss[:, :, None].astype(np.float32))
+        variances.append(None)
+        names.append("miss")
+    empty = np.zeros((*shape, 0), np.float32)
+    stack = np.concatenate([empty, *stacks], axis=2)
+    if all(v is None for v in variances):
+        return Features(stack, None, tuple(names), valid)
+    known = [np.zeros_like(s) if v is None else v for s, v in zip(stacks, variances, strict=True)]
+    return Features(stack, np.concatenate([empty, *known], axis=2), tuple(names), valid)
+
+
+def channel_names(role: Role, count: int) -> list[str]:
+    """Names of a role's channels: "depth", "albedo.r", "normal.x"."""
+    if count == 1:
+        return [role.value]
+    letters = "xyz" if role in (Role.NORMAL, Role.POSITION) else "rgb"
+    return [f"{role.value}.{letter}" for letter in letters[:count]]
+
+
+def fit_scales(frame: Frame) -> Scales:
+    """Frame-wide numbers of a frame, measured where something was hit."""
+    miss = misses(frame)
+    hit = ~miss
+    values: dict[str, float] = {}
+    if frame.has(Role.DEPTH):
+        depth = np.abs(frame[Role.DEPTH][:, :, 0])
+        depth = depth[hit & np.isfinite(depth) & (depth > 0)]
+        if depth.size:
+            values["depth_median"] = float(np.median(depth))
+            values["depth_far"] = float(depth.max())
+    centre = (0.0, 0.0, 0.0)
+    if frame.has(Role.POSITION):
+        points = frame[Role.POSITION][hit & np.isfinite(frame[Role.POSITION]).all(axis=2)]
+        if len(points):
+            low, high = np.percentile(points, [2.0, 98.0], axis=0)
+            middle = (low + high) / 2
+            centre = (float(middle[0]), float(middle[1]), float(middle[2]))
+            values["extent"] = float(max((high - low).max(), 1e-6 * abs(middle).max(), 1e-20))
+    return Scales(centre=centre, misses=bool(miss.any()), **values)
+
+
+def misses(frame: Frame) -> NDArray[np.bool_]:
+    """``(H, W)``: where depth or position says that nothing was hit."""
+    miss = np.zeros((frame.height, frame.width), bool)
+    depth = frame.get(Role.DEPTH)
+    if depth is not None:
+        z = np.abs(depth[:, :, 0])
+        miss |= np.isposinf(z) | (z == 0) | (z >= _FAR)
+        for value in INFO[Role.DEPTH].misses:
+            miss |= z == np.float32(value)
+    position = frame.get(Role.POSITION)
+    if position is not None:
+        miss |= np.isinf(position).any(axis=2) | (np.abs(position) >= _FAR).any(axis=2)
+    return miss
+
+
+def variance_of(frame: Frame, role: Role) -> FloatImage | None:
+    """The variance of a role's pixel means ``(H, W, C)``: its layer, else from half buffers."""
+    variance = frame.get(role, Stat.VARIANCE)
+    if variance is not None:
+        return np.maximum(np.nan_to_num(variance, nan=0.0, posinf=0.0, neginf=0.0), 0.0)
+    a, b = frame.get(role, Stat.HALF_A), frame.get(role, Stat.HALF_B)
+    if a is None or b is None:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):
+        raw = np.nan_to_num((a - b) ** 2 / 4, nan=0.0, posinf=0.0, neginf=0.0)
+    return _mean_5x5(raw.astype(np.float32))
+
+
+def _mean_5x5(image: FloatImage) -> FloatImage:
+    # running along one axis, then the other; the count at the borders is smaller
+    for axis in (0, 1):
+        total, count = np.zeros_like(image), np.zeros(image.shape[axis], np.float32)
+        for shift in range(-MARGIN, MARGIN + 1):
+            size = image.shape[axis]
+            to = slice(max(0, -shift), min(size, size - shift))
+            if to.start >= to.stop:
+                continue
+            source = slice(to.start + shift, to.stop + shift)
+            index = (slice(None),) * axis
+            total[(*index, to)] += image[(*index, source)]
+            count[to] += 1
+        image = total / (count[:, None, None] if axis == 0 else count[None, :, None])
+    return image
+
+
+def _scaled(
+    frame: Frame, role: Role, scales: Scales, miss: NDArray[np.bool_]
+) -> tuple[FloatImage, FloatImage | None, NDArray[np.bool_]]:
+    """A role's image and variance in the scale of the table, and where it is not sound."""
+    image = frame[role]
+    variance = variance_of(frame, role)
+    if variance is not None and variance.shape[2] == 1:
+        variance = np.broadcast_to(variance, image.shape)
+    bad = ~np.isfinite(image).all(axis=2)
+    if role is Role.DEPTH:
+        z = np.abs(image)
+        gone = miss[:, :, None]
+        safe = np.where(gone | ~np.isfinite(z) | (z == 0), 1.0, z)
+        image = np.log(safe / scales.depth_median)
+        far = np.log(max(scales.depth_far / scales.depth_median, 1e-20)) + 1.0
+        image = np.where(gone, far, image)
+        if variance is not None:
+            variance = np.where(gone, 0.0, variance / safe**2)
+        bad &= ~miss
+    elif role is Role.POSITION:
+        gone = miss[:, :, None]
+        image = np.where(gone, 0.0, (image - np.float32(scales.centre)) / scales.extent)
+        if variance is not None:
+            variance = np.where(gone, 0.0, variance / scales.extent**2)
+        bad &= ~miss
+    clean = np.where(bad[:, :, None], 0.0, image).astype(np.float32)
+    if variance is None:
+        return clean, None, bad
+    return clean, np.where(bad[:, :, None], 0.0, variance).astype(np.float32), bad

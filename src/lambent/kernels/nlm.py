@@ -1,0 +1,295 @@
+"""Patch distances and the weights of non-local means, offset by offset.
+
+For each offset o of the search window the distance of the patches around p and p + o,
+
+    D_o(p) = mean over t in the patch, over channels c, of δ_c(p + t, p + t + o),
+
+is one image: a kernel for δ, then a box mean along the rows, then along the columns
+(Buades, Coll and Morel, "A non-local algorithm for image denoising", 2005, made O(1) in the patch
+as in Darbon et al. 2008). The patch has ``2·patch + 1`` pixels a side.
+
+Only pairs with both pixels inside the image count in the mean. A pixel that is not finite adds no
+distance to the patches around it, and gets no weight.
+
+`patch_distances` and `nlm_weights` give the images one after the other to whoever wants to sum
+something with them (NLM, NFOR, StatMC); `nlm_mean` is the weighted mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.kernels.arrays import (
+    FloatImage,
+    Layout,
+    Plane,
+    Planes,
+    backend,
+    constants,
+    to_image,
+    valid_pixels,
+)
+from lambent.kernels.exponential import exp_weight
+from lambent.kernels.window import keep_untouched
+
+#: ``difference(p, q, vp, vq, numbers)``: one value a pixel from the guide and its variance there
+#: and at the neighbour (lists of ``Float``; the variances are [] where the guide has none).
+Difference = Callable[[list[Any], list[Any], list[Any], list[Any], list[Any]], Any]
+
+#: Offsets that go through one launch of each kernel.
+_BATCH = 11
+#: Target channels in one kernel.
+_CHANNELS = 8
+
+
+def squared_difference(
+    p: list[Any], q: list[Any], vp: list[Any], vq: list[Any], k: list[Any]
+) -> Any:
+    """Mean over channels of (u_p - u_q)²·k₀ - k₁: Buades 2005 with a uniform noise level.
+
+    k₀ = 1/h², k₁ = 2σ²/h² takes the noise's own part out.
+    """
+    import drjit as dr
+
+    total = None
+    for a, b in zip(p, q, strict=True):
+        step = a - b
+        total = step * step if total is None else dr.fma(step, step, total)
+    return dr.fma(total, k[0] * (1.0 / len(p)), -k[1])
+
+
+def variance_difference(
+    p: list[Any], q: list[Any], vp: list[Any], vq: list[Any], k: list[Any]
+) -> Any:
+    """Rousselle et al. 2012, equation 5, mean over channels.
+
+    ((u_p - u_q)² - α (v_p + min(v_p, v_q))) / (ε + k² (v_p + v_q));  k₀ = k², k₁ = α, k₂ = ε.
+    """
+    import drjit as dr
+
+    total = None
+    for a, b, va, vb in zip(p, q, vp, vq, strict=True):
+        step = a - b
+        above = dr.fma(step, step, -k[1] * (va + dr.minimum(va, vb)))
+        term = above / dr.fma(k[0], va + vb, k[2])
+        total = term if total is None else total + term
+    return total * (1.0 / len(p))
+
+
+@dataclass(frozen=True, eq=False)
+class PatchSearch:
+    """What a search over patches works on: made once, then asked offset by offset.
+
+    ``layout`` has a border of ``radius + patch + 1``. ``mask`` is 1 at pixels that take part.
+    """
+
+    layout: Layout
+    radius: int
+    patch: int
+    guide: Planes
+    variance: Planes | None
+    mask: Planes
+    columns: Plane
+    rows: Plane
+    difference: Difference
+    numbers: tuple[float, ...]
+    module: Any
+
+    @classmethod
+    def of(
+        cls,
+        guide: NDArray[Any],
+        variance: NDArray[Any] | None,
+        radius: int,
+        patch: int,
+        difference: Difference = variance_difference,
+        numbers: Sequence[float] = (0.45**2, 1.0, 1e-10),
+        valid: NDArray[Any] | None = None,
+        device: str = "auto",
+    ) -> PatchSearch:
+        """A search over ``guide`` ``(H, W, G)`` with its ``variance`` (same shape, or None).
+
+        ``radius`` of the search window and ``patch`` in pixels; ``difference`` a module-level
+        function with its ``numbers``; ``valid`` ``(H, W)``: 0 at pixels to leave out.
+        """
+        module = backend(device)
+        height, width = guide.shape[:2]
+        layout = Layout(height, width, radius + patch + 1)
+        mask = valid_pixels(guide, variance)
+        if valid is not None:
+            mask = mask * valid
+        return cls(
+            layout,
+            radius,
+            patch,
+            Planes.of(guide, layout, module),
+            None if variance is None else Planes.of(variance, layout, module),
+            Planes.of(mask, layout, module),
+            *_coordinates(layout, patch, module),
+            difference,
+            tuple(numbers),
+            module,
+        )
+
+    def batches(self) -> Iterator[list[tuple[int, int]]]:
+        """All offsets (dx, dy) of the window, in groups of one launch, row by row.
+
+        Every row is cut at the same dx: kernels are compiled for the alignment of their loads.
+        """
+        reach = range(-self.radius, self.radius + 1)
+        for dy in reach:
+            for start in range(0, len(reach), _BATCH):
+                yield [(dx, dy) for dx in reach[start : start + _BATCH]]
+
+    def row_means(self, offsets: Sequence[tuple[int, int]]) -> list[Plane]:
+        """δ averaged along the rows of the patch, `Plane` with ``extent`` = patch, one an offset."""
+        import drjit as dr
+
+        reach = self.patch + 1
+        variance = self.variance
+        knobs = constants(self.numbers, self.module)
+        p, mask = self.guide.views(extend=reach), self.mask.view(0, extend=reach)
+        vp = [] if variance is None else variance.views(extend=reach)
+        raw = []
+        for dx, dy in offsets:
+            q = self.guide.views(dx, dy, reach)
+            vq = [] if variance is None else variance.views(dx, dy, reach)
+            both = mask * self.mask.view(0, dx, dy, reach)
+            raw.append(self.difference(p, q, vp, vq, knobs) * both)
+        dr.eval(raw)
+        planes = [Plane(self.layout, reach, d, self.module) for d in raw]
+        taps = range(-self.patch, self.patch + 1)
+        along = _means(
+            [[plane.view(t, 0, self.patch) for t in taps] for plane in planes],
+            self.columns.view(extend=self.patch),
+            constants((dx for dx, _ in offsets), self.module),
+            constants([self.layout.width - 1, self.patch], self.module),
+        )
+        dr.eval(along)
+        return [Plane(self.layout, self.patch, a, self.module) for a in along]
+
+    def column_views(self, planes: Sequence[Plane]) -> list[list[Any]]:
+        """For each plane of `row_means` the views that the mean along the columns sums."""
+        taps = range(-self.patch, self.patch + 1)
+        return [[plane.view(0, t) for t in taps] for plane in planes]
+
+    def column_numbers(self, offsets: Sequence[tuple[int, int]]) -> tuple[list[Any], list[Any]]:
+        """The dy of each offset, and [last row, patch], as a kernel reads them."""
+        steps = constants((dy for _, dy in offsets), self.module)
+        return steps, constants([self.layout.height - 1, self.patch], self.module)
+
+
+def patch_distances(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
+    """(dx, dy, D): the mean patch distance to the pixel at that offset, for each offset.
+
+    D is an evaluated ``Float`` of ``search.layout.size`` entries; it may be negative where the
+    difference takes variance out. Entries whose neighbour lies outside the image mean nothing:
+    multiply what comes of them with ``search.mask.view(0, dx, dy)``.
+    """
+    import drjit as dr
+
+    for batch in search.batches():
+        planes = search.row_means(batch)
+        steps, ends = search.column_numbers(batch)
+        rows = search.rows.view()
+        distances = _means(search.column_views(planes), rows, steps, ends)
+        dr.eval(distances)
+        for (dx, dy), distance in zip(batch, distances, strict=True):
+            yield dx, dy, distance
+
+
+def nlm_weights(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
+    """(dx, dy, w): exp(-max(0, D)) for each offset, 0 where the neighbour does not take part.
+
+    Rousselle et al. 2012, equation 6. w is an unevaluated ``Float`` of ``layout.size`` entries.
+    """
+    import drjit as dr
+
+    for dx, dy, distance in patch_distances(search):
+        yield dx, dy, exp_weight(-dr.maximum(distance, 0.0)) * search.mask.view(0, dx, dy)
+
+
+def nlm_mean(
+    targets: NDArray[Any],
+    search: PatchSearch,
+    joint: tuple[NDArray[Any], Callable[[list[Any], list[Any], list[Any]], Any]] | None = None,
+    numbers: Sequence[float] = (),
+) -> FloatImage:
+    """The weighted mean of ``targets`` ``(H, W, C)`` with the weights of a search.
+
+    ``joint``: feature planes ``(H, W, G)`` and a module-level function ``(p, q, numbers)`` of them
+    that gives a distance; the greater of the two distances decides, which is the smaller of the
+    two weights (Rousselle et al. 2013, equation 8).
+    Targets that are not finite take no part. Returns float32 ``(H, W, C)``.
+    """
+    import drjit as dr
+
+    layout, module = search.layout, search.module
+    seen = None if joint is None else Planes.of(joint[0], layout, module)
+    also = None if joint is None else joint[1]
+    mask = search.mask
+    sound = valid_pixels(targets, None if joint is None else joint[0])
+    if not sound.all():
+        inside = slice(layout.margin_rows, layout.margin_rows + layout.height)
+        mask = Planes.of(mask.memory[0, inside, : layout.width] * sound, layout, module)
+    groups = [
+        Planes.of(targets[:, :, first : first + _CHANNELS], layout, module)
+        for first in range(0, targets.shape[2], _CHANNELS)
+    ]
+    sums = [[dr.zeros(module.Float, layout.size) for _ in range(len(g) + 1)] for g in groups]
+    dr.eval(sums)
+    knobs = constants(numbers, module)
+    centre = [] if seen is None else seen.views()
+    for batch in search.batches():
+        planes = search.row_means(batch)
+        steps, ends = search.column_numbers(batch)
+        for plane, step, (dx, dy) in zip(planes, steps, batch, strict=True):
+            distance = _mean(search.column_views([plane])[0], search.rows.view(), step, ends)
+            if seen is not None and also is not None:
+                distance = dr.maximum(distance, also(centre, seen.views(dx, dy), knobs))
+            w = exp_weight(-dr.maximum(distance, 0.0)) * mask.view(0, dx, dy)
+            for total, values in zip(sums, groups, strict=True):
+                for channel, value in enumerate(values.views(dx, dy)):
+                    total[channel] = dr.fma(w, value, total[channel])
+                total[-1] += w
+        dr.eval(sums)
+    parts = [to_image([value / s[-1] for value in s[:-1]], layout) for s in sums]
+    return keep_untouched(np.concatenate(parts, axis=2), targets)
+
+
+# ------------------------------------------------------------------ private
+
+
+def _coordinates(layout: Layout, extent: int, module: Any) -> tuple[Plane, Plane]:
+    """The column and the row of every entry, as planes."""
+    rows, columns = np.mgrid[-extent : layout.height + extent, 0 : layout.stride]
+    return (
+        Plane(layout, extent, columns.astype(np.float32).reshape(-1), module),
+        Plane(layout, extent, rows.astype(np.float32).reshape(-1), module),
+    )
+
+
+def _mean(views: list[Any], place: Any, step: Any, ends: list[Any]) -> Any:
+    """Sum of the views over the number of pairs inside the image, along one axis.
+
+    ``place``: the coordinate of each entry; ``step``: the offset along this axis; ``ends``: the
+    last coordinate of the image, and the patch's half-size.
+    """
+    import drjit as dr
+
+    total = views[0]
+    for view in views[1:]:
+        total = total + view
+    last, reach = ends
+    high = dr.minimum(place + reach, dr.minimum(last, last - step))
+    low = dr.maximum(place - reach, dr.maximum(0.0, -step))
+    return total * dr.rcp(dr.maximum(high - low + 1.0, 1.0))
+
+
+def _means(views: list[list[Any]], place: Any, steps: list[Any], ends: list[Any]) -> list[Any]:
+    return [_mean(view, place, step, ends) for view, step in zip(views, steps, strict=True)]
