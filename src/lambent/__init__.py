@@ -13,7 +13,7 @@ __version__ = "0.1.0"
 
 # Public name -> module that holds it.
 _PUBLIC = {
-    "denoise": "lambent.denoise.pipeline",
+    "denoise": "lambent.denoise",  # the package, which can be called; see its docstring
     "read": "lambent.frame.files",
     "write": "lambent.frame.files",
     "Frame": "lambent.frame.frame",
@@ -47,7 +47,8 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'lambent' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    module = importlib.import_module(_PUBLIC[name])
+    value = module if name == "denoise" else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -96,6 +96,17 @@ def test_array_in_frame_out():
     assert out.has(Role.ALBEDO)
 
 
+def test_the_verb_and_the_package_are_one():
+    """Importing a part of the package must not hide the function of its name, nor vice versa."""
+    import inspect
+
+    import lambent.denoise.tiles
+
+    assert callable(lambent.denoise)
+    assert lambent.denoise.tiles.plan_tiles is not None
+    assert "strength" in inspect.signature(lambent.denoise).parameters
+
+
 def test_four_channels_are_colour_and_alpha():
     out = lambent.denoise(np.ones((9, 11, 4)), model="mean")
     assert out.has(Role.ALPHA)

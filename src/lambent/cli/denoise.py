@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from lambent.denoise.files import Processed, Result
     from lambent.denoise.pipeline import Settings
     from lambent.denoise.sequence import Job
+    from lambent.frame.frame import Frame
 
 EPILOG = (
     "Examples: lambent denoise noisy.exr --preview; "
@@ -157,6 +158,7 @@ def _run_one(
     if target.is_dir() and not source.is_dir():
         target = target / source.name
     files.check_output(source, target, overwrite or dry_run)
+    extras.check(target, overwrite or dry_run)
     if dry_run:
         plan = files.outline(source, target, settings)
         print_json(plan) if as_json else _print_plan(plan)
@@ -178,7 +180,8 @@ def _run_one(
 
 def _print_result(result: Result, written: dict[str, Path]) -> None:
     size = f"{result.width}x{result.height}"
-    facts = [size, result.dialect, f"{result.spp} spp" if result.spp else ""]
+    dialect = "" if result.dialect == "generic" else result.dialect
+    facts = [size, dialect, f"{result.spp} spp" if result.spp else ""]
     print(f"{result.output}")
     print(f"  from     {result.source} ({', '.join(f for f in facts if f)})")
     if result.layers:
@@ -247,6 +250,7 @@ def _run_many(
 ) -> int:
     from lambent.denoise import sequence
     from lambent.errors import FileError
+    from lambent.frame.sequence import format_range
 
     if len(sources) == 1:
         jobs, missing = sequence.find_jobs(sources[0], frames, output)
@@ -258,7 +262,7 @@ def _run_many(
         raise FileError("holds no EXR file", file=what, remedy="check the name and --frames")
     todo, finished = sequence.sort_out(jobs, settings, overwrite)
     if missing:
-        _say(f"missing: {_ranges(missing)} ({_count(len(missing), 'frame')} of the range)")
+        _say(f"missing: {format_range(missing)} ({_count(len(missing), 'frame')} of the range)")
     if dry_run:
         _print_many_plan(todo, finished, missing, settings, as_json)
         return 0
@@ -330,17 +334,6 @@ def _print_many_plan(
         _print_plan(first)
 
 
-def _ranges(numbers: tuple[int, ...]) -> str:
-    """``(1, 2, 3, 7)`` to ``"1-3, 7"``."""
-    runs: list[list[int]] = []
-    for number in sorted(numbers):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in runs)
-
-
 def _count(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
@@ -363,25 +356,60 @@ class _Extras:
         """Whether the input has to be kept until the result is there."""
         return self._preview or self._report
 
+    def paths(self, output: Path) -> dict[str, Path]:
+        """Where they go, by kind."""
+        found = {}
+        if self._preview:
+            found["preview"] = output.with_name(output.stem + "_preview.png")
+        if self._report:
+            found["report"] = output.with_suffix(".html")
+        return found
+
+    def check(self, output: Path, overwrite: bool) -> None:
+        """Refuse to replace a preview or a report that is there already."""
+        from lambent.errors import OutputError
+
+        for kind, path in self.paths(output).items():
+            if path.exists() and not overwrite:
+                raise OutputError(
+                    f"the {kind} exists already",
+                    file=path,
+                    remedy="write elsewhere with -o NAME, or allow it with --overwrite",
+                )
+
     def write(self, processed: Processed, result: Result) -> dict[str, Path]:
         """Write what was asked for; return what was written, by kind."""
-        from lambent.denoise.files import write_preview
-
         if not self.any:
             return {}
         assert result.output is not None
-        written: dict[str, Path] = {}
         view = next(iter(processed.views))
         before, after = processed.before[view], processed.views[view]
-        if self._preview:
-            path = result.output.with_name(result.output.stem + "_preview.png")
-            written["preview"] = write_preview(path, before, after)
-        if self._report:
-            from lambent.report import write_denoise_report
+        paths = self.paths(result.output)
+        if "preview" in paths:
+            from lambent.denoise.files import write_preview
 
-            path = result.output.with_suffix(".html")
-            written["report"] = write_denoise_report(path, before, after, result.as_dict())
-        return written
+            write_preview(paths["preview"], before, after)
+        if "report" in paths:
+            _write_page(paths["report"], before, after, result)
+        return paths
+
+
+def _write_page(path: Path, before: Frame, after: Frame, result: Result) -> None:
+    from lambent.metrics.compare import compare
+    from lambent.report import write_report
+
+    details = {
+        "model": result.model,
+        "seconds": round(result.seconds["total"], 2),
+        "cleaned": _listing(result.layers),
+    }
+    found = compare(None, {"input": before, "denoised": after}, details={"denoised": details})
+    write_report(
+        path,
+        found,
+        title=f"{result.source.name}, denoised with {result.model}",
+        notes=[f"Repaired: {line}." for line in result.repairs],
+    )
 
 
 def _limit_threads(threads: int) -> None:

@@ -63,3 +63,25 @@ def explain(
 
             with atomic(output, overwrite) as file:
                 file.write(found.to_png())
+    if as_json:
+        print_json({**_facts(found, model, x, y), "picture": None if output is None else output})
+    else:
+        _print(found, model, x, y)
+        if output is not None:
+            print(f"\n{output}")
+
+
+# ------------------------------------------------------------------- private
+
+
+def _pixel(text: str) -> tuple[int, int]:
+    from lambent.errors import OptionError
+
+    parts = text.replace(" ", "").split(",")
+    try:
+        x, y = (int(part) for part in parts)
+    except ValueError:
+        raise OptionError(
+            f"'{text}' is no pixel", remedy="write column,row from the upper left: --pixel 120,80"
+        ) from None
+    return x, y

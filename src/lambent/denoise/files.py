@@ -156,19 +156,25 @@ def process(
 
 def save(processed: Processed, output: Path, settings: Settings, overwrite: bool) -> Result:
     """Write the denoised views, atomically; complete the account."""
-    from lambent.frame.files import write, write_views
+    from lambent.frame.files import write_noted, write_views_noted
 
     start = time.perf_counter()
     attributes = {STAMP: stamp(settings)}
     if len(processed.views) == 1:
         frame = next(iter(processed.views.values()))
-        write(output, frame, overwrite=overwrite, attributes=attributes)
+        written = write_noted(output, frame, overwrite=overwrite, attributes=attributes)
     else:
-        write_views(output, processed.views, overwrite=overwrite, attributes=attributes)
+        written = write_views_noted(
+            output, processed.views, overwrite=overwrite, attributes=attributes
+        )
     seconds = {**processed.result.seconds, "write": time.perf_counter() - start}
     seconds["total"] = sum(seconds.values())
     return dataclasses.replace(
-        processed.result, output=output, seconds=seconds, peak_memory=memory.peak()
+        processed.result,
+        output=written.path,
+        notes=_unique((*processed.result.notes, *written.notes)),
+        seconds=seconds,
+        peak_memory=memory.peak(),
     )
 
 

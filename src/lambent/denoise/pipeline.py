@@ -38,7 +38,7 @@ from lambent.filters.denoiser import (
 )
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
-from lambent.frame.role import Role, Stat, parse_role
+from lambent.frame.role import INFO, Role, Stat, parse_role
 
 if TYPE_CHECKING:
     from lambent.frame.repair import Repairs
@@ -213,12 +213,12 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     from lambent.frame.repair import repair
 
     clock = _Stages()
-    repaired, repairs = repair(frame)
-    clock.done("repair")
     denoiser = settings.denoiser()
-    if not repaired.has(Role.COLOUR):
-        raise repaired.missing(Role.COLOUR)
-    denoiser.check(repaired)
+    if not frame.has(Role.COLOUR):
+        raise frame.missing(Role.COLOUR)
+    denoiser.check(frame)
+    repaired, repairs = repair(frame, layers=looked_at(frame, denoiser))
+    clock.done("repair")
     chosen = choose_layers(repaired, settings)
     if settings.strength == 0.0 or not _any_light(chosen):
         why = "strength is 0" if settings.strength == 0.0 else "the image is black all over"
@@ -255,6 +255,23 @@ def choose_layers(frame: Frame, settings: Settings) -> list[Layer]:
     if wanted is None:
         wanted = settings.passes == "all" and is_noisy_alpha(alpha.data)
     return [*layers, alpha] if wanted else layers
+
+
+def looked_at(frame: Frame, denoiser: Denoiser) -> list[str]:
+    """Names of the layers that matter here: light, alpha, and what the model says it looks at.
+
+    Only these are checked for damage; the others are neither decoded nor changed.
+    """
+    roles = {
+        parse_role(name)
+        for need in (*denoiser.about.needs, *denoiser.about.uses)
+        for name in need.split("|")
+    }
+    return [
+        layer.name
+        for layer in frame.all_layers()
+        if INFO[layer.role].radiance or layer.role is Role.ALPHA or layer.key in roles
+    ]
 
 
 def is_noisy_alpha(alpha: FloatImage) -> bool:
@@ -366,9 +383,18 @@ def _any_light(layers: list[Layer]) -> bool:
     return any(layer.data.any() for layer in layers)
 
 
-def _finish(frame: Frame, chosen: list[Layer], cleaned: list[FloatImage], strength: float) -> Frame:
-    """Hold alpha to [0, 1], keep colour where there was coverage, blend, replace."""
-    alpha = frame.layer(Role.ALPHA)
+def _finish(
+    original: Frame,
+    repaired: Frame,
+    chosen: list[Layer],
+    cleaned: list[FloatImage],
+    strength: float,
+) -> Frame:
+    """Hold alpha to [0, 1], keep colour where there was coverage, blend, replace.
+
+    What was not filtered comes from the original, unrepaired: it is no business of ours.
+    """
+    alpha = repaired.layer(Role.ALPHA)
     filtered_alpha = any(layer.role is Role.ALPHA for layer in chosen)
     empty = None
     if alpha is not None and not filtered_alpha:

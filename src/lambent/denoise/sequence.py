@@ -39,6 +39,10 @@ from lambent.errors import FileError, LambentError, OutputError
 #: Frames alive at once: one being read, one filtered, one written.
 ALIVE = 3
 
+#: A place for a frame number in a name: hashes, printf, Houdini's $F.
+_PLACE = re.compile(r"#|%0?\d*d|\$F\d?")
+_GLOB = re.compile(r"[*?]|\[.*\]")
+
 _IMAGE_SUFFIXES = frozenset({".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr"})
 
 
@@ -78,7 +82,7 @@ def is_sequence(source: str | Path) -> bool:
         return True
     if Path(text).exists():
         return False
-    return bool(re.search(r"#|%0?\d*d|[*?]", Path(text).name))
+    return bool(_PLACE.search(Path(text).name) or _GLOB.search(text))
 
 
 def find_jobs(
@@ -94,7 +98,8 @@ def find_jobs(
     folder = Path(source)
     if folder.is_dir() and frames is None:
         jobs = _folder_jobs(folder, output)
-        return jobs, ()
+        numbered = FrameSequence.find_all(folder) if any(j.number for j in jobs) else []
+        return jobs, numbered[0].missing if len(numbered) == 1 else ()
     sequence = FrameSequence.find(source, frames)
     jobs = [
         Job(number, Path(path), _output_for(Path(path), number, source, output))
@@ -376,8 +381,7 @@ def _output_for(
         stem = f"{path.stem[: digits.start()]}{SUFFIX}{digits[0]}"
         return path.with_name(stem + path.suffix)
     target = Path(output)
-    marks = re.search(r"#+|%0?(\d*)d", target.name)
-    if marks is None:
+    if not _PLACE.search(target.name):
         if target.suffix and not target.is_dir():
             raise OutputError(
                 "many frames cannot go into one file",
@@ -385,6 +389,7 @@ def _output_for(
                 remedy=f"leave a place for the number: {target.stem}.####{target.suffix}",
             )
         return target / path.name
-    width = len(marks[0]) if marks[0].startswith("#") else int(marks[1] or 1)
-    name = target.name[: marks.start()] + f"{number:0{width}d}" + target.name[marks.end() :]
-    return target.with_name(name)
+    from lambent.frame.sequence import put_number
+
+    assert number is not None
+    return target.with_name(put_number(target.name, number))
