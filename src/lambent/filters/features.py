@@ -33,13 +33,11 @@ from numpy.typing import NDArray
 from lambent.errors import OptionError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
+from lambent.frame.misses import miss_mask
 from lambent.frame.role import INFO, Role, Stat
 
 #: Pixels around a pixel that its features may depend on (the variance from half buffers).
 MARGIN = 2
-
-#: Depths from here on are misses, whatever the table says.
-_FAR = 1e10
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def features(
     scales = scales or fit_scales(frame)
     shape = (frame.height, frame.width)
     valid = np.ones(shape, bool)
-    miss = misses(frame)
+    miss = miss_mask(frame)
     stacks: list[NDArray[np.float32]] = []
     variances: list[NDArray[np.float32] | None] = []
     names: list[str] = []
@@ -141,7 +139,7 @@ def channel_names(role: Role, count: int) -> list[str]:
 
 def fit_scales(frame: Frame) -> Scales:
     """Frame-wide numbers of a frame, measured where something was hit."""
-    miss = misses(frame)
+    miss = miss_mask(frame)
     hit = ~miss
     values: dict[str, float] = {}
     if frame.has(Role.DEPTH):
@@ -159,21 +157,6 @@ def fit_scales(frame: Frame) -> Scales:
             centre = (float(middle[0]), float(middle[1]), float(middle[2]))
             values["extent"] = float(max((high - low).max(), 1e-6 * abs(middle).max(), 1e-20))
     return Scales(centre=centre, misses=bool(miss.any()), **values)
-
-
-def misses(frame: Frame) -> NDArray[np.bool_]:
-    """``(H, W)``: where depth or position says that nothing was hit."""
-    miss = np.zeros((frame.height, frame.width), bool)
-    depth = frame.get(Role.DEPTH)
-    if depth is not None:
-        z = np.abs(depth[:, :, 0])
-        miss |= np.isposinf(z) | (z == 0) | (z >= _FAR)
-        for value in INFO[Role.DEPTH].misses:
-            miss |= z == np.float32(value)
-    position = frame.get(Role.POSITION)
-    if position is not None:
-        miss |= np.isinf(position).any(axis=2) | (np.abs(position) >= _FAR).any(axis=2)
-    return miss
 
 
 def variance_of(frame: Frame, role: Role) -> FloatImage | None:
