@@ -114,7 +114,9 @@ def run(
         problems = {r.get("failed") or r.get("lacks") for r in found} - {None}
         say(f"{model}: {len(found)} frames" + "".join(f"\n    {p}" for p in sorted(problems)))
         rows += found
-    noisy = {(r["scene"], r["spp"]): r["relmse"] for r in rows if r["model"] == NOISY}
+    noisy = {
+        (r["scene"], r["spp"]): r["relmse"] for r in rows if r["model"] == NOISY and "relmse" in r
+    }
     for row in rows:
         if "relmse" in row and (row["scene"], row["spp"]) in noisy:
             row["gain"] = noisy[row["scene"], row["spp"]] / row["relmse"]
@@ -164,33 +166,22 @@ def markdown(rows: list[Row], about: Row) -> str:
     for spp in spps:
         table = means(rows, spp)
         order = sorted(table, key=lambda m: table[m].get("relmse", math.inf))
-        lines = [
-            [
-                f"`{m}`",
-                *(f.format(table[m][k]) if k in table[m] else "" for k, (_, f) in COLUMNS.items()),
-            ]
-            for m in order
-        ]
-        parts.append(f"## {spp} spp, geometric means over {len(scenes)} scenes\n")
+        lines = [[f"`{m}`", *_cells(table[m])] for m in order]
+        parts.append(f"## {spp} spp, geometric means over {len(scenes)} scenes")
         parts.append(markdown_table(["model", *(t for t, _ in COLUMNS.values())], lines))
-        parts += [f"- {line}" for line in order_remarks(table)]
-    parts.append("## relMSE lowered, by scene and spp (noisy ÷ filtered)\n")
+        parts.append("\n".join(f"- {line}" for line in order_remarks(table)))
+    parts.append("## relMSE lowered, by scene and spp (noisy ÷ filtered)")
     models = list(dict.fromkeys(r["model"] for r in done if r["model"] != NOISY))
-    gain = {(r["model"], r["scene"], r["spp"]): r["gain"] for r in done if "gain" in r}
+    gain = {(r["model"], r["scene"], r["spp"]): f"{r['gain']:.1f}" for r in done if "gain" in r}
     columns = [(s, n) for s in scenes for n in spps]
-    parts.append(
-        markdown_table(
-            ["model", *(f"{s} {n}" for s, n in columns)],
-            [
-                [
-                    f"`{m}`",
-                    *(f"{gain[m, s, n]:.1f}" if (m, s, n) in gain else "" for s, n in columns),
-                ]
-                for m in models
-            ],
-        )
-    )
-    return "\n".join(parts) + "\n"
+    head = ["model", *(f"{s} {n}" for s, n in columns)]
+    lines = [[f"`{m}`", *(gain.get((m, *c), "") for c in columns)] for m in models]
+    parts.append(markdown_table(head, lines))
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def _cells(row: Row) -> list[str]:
+    return [text.format(row[key]) if key in row else "" for key, (_, text) in COLUMNS.items()]
 
 
 def order_remarks(table: dict[str, Row]) -> list[str]:
