@@ -29,7 +29,7 @@ def write(path: Path, arrays: dict[str, np.ndarray] | None = None, **header: Any
     """An EXR of these channels (default: `channels`)."""
     arrays = channels() if arrays is None else arrays
     full = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    with OpenEXR.File(full, arrays) as file:
+    with OpenEXR.File(full, dict(arrays)) as file:  # the module replaces the arrays in the dict
         file.write(str(path))
     return path
 

@@ -145,17 +145,18 @@ def test_sizes_that_differ_between_layers(refused, tmp_path):
 
     small = np.full((10, 12), 0.5, np.float32)
     beauty = {n: a for n, a in renders.channels().items() if n in "RGB"}
+    window = (np.array([0, 0], np.int32), np.array([63, 47], np.int32))
+    header = {"type": OpenEXR.scanlineimage, "displayWindow": window}
     parts = [
-        OpenEXR.Part({"name": "rgb", "type": OpenEXR.scanlineimage}, beauty),
-        OpenEXR.Part(
-            {"name": "tex", "type": OpenEXR.scanlineimage}, {n: small.copy() for n in "RGB"}
-        ),
+        OpenEXR.Part({**header, "name": "rgb"}, beauty),
+        OpenEXR.Part({**header, "name": "tex"}, {n: small.copy() for n in "RGB"}),
     ]
     path = tmp_path / "sizes.exr"
     OpenEXR.File(parts).write(str(path))
     text = refused("denoise", path, "--albedo", "tex", *FAST, code=3)
-    assert "tex" in text
+    assert "layer 'tex'" in text
     assert str(path) in text
+    assert main(["denoise", str(path), *FAST]) == 0
 
 
 def test_unknown_layer_suggests(refused, noisy):

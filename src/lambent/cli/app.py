@@ -86,9 +86,9 @@ def run(args: Sequence[str]) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _say_interrupted()
         return 130
-    except BrokenPipeError:  # `lambent … | head`: the reader has seen enough
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  stays open until the process ends
-        return 0
+    except SystemExit as leaving:
+        # Typer turns a closed pipe (`lambent … | head`) into this; the reader has seen enough.
+        return 0 if isinstance(leaving.__context__, BrokenPipeError) else _code_of(leaving)
     except Exception as error:
         if _debugging():
             raise
@@ -124,6 +124,10 @@ def _root(
 
         print(f"lambent {__version__}")
         raise typer.Exit
+
+
+def _code_of(leaving: SystemExit) -> int:
+    return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
 
 
 def _unknown_command(name: str) -> OptionError:
