@@ -30,7 +30,8 @@ def exp_weight(x: Any) -> Any:
 
     kind = type(x)
     integer = dr.int32_array_t(kind)
-    y = dr.maximum(x * _LOG2_E, -126.0)
+    y = x * _LOG2_E
+    y = dr.select(y > -126.0, y, -126.0)  # LLVM cannot always select fmaximum inside loops
     whole = dr.floor(y)
     fraction = y - whole
     power = kind(_POLYNOMIAL[0])
