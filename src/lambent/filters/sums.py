@@ -1,0 +1,171 @@
+"""Lighting layers that add up to the beauty: finding them, and keeping the sum.
+
+A linear filter keeps every such sum by itself. For a filter that is not linear (OIDN) the sums of
+the input are found here by looking at the pixels, not at names: direct + indirect, diffuse +
+specular, light groups, whatever a renderer wrote. Layers may enter with a factor image: Cycles
+writes light divided by the surface's colour, so that its beauty is Σ colour·(direct + indirect) +
+emission + environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.frame.layer import FloatImage, Layer
+
+#: A sum is one where it misses the beauty by less than this share of it: halves of beauty, layer
+#: and factor round by 2^-11 each.
+RELATIVE = 3e-3
+#: ... or by this share of the mean beauty, for dark pixels.
+ABSOLUTE = 1e-4
+#: This share of the pixels must fit (renderers clamp and composite single pixels).
+FITTING = 0.999
+
+_SAMPLES = 256
+_MOST_STEPS = 20_000
+_MOST_SUMS = 8
+
+#: Ends of Cycles' layer names: light, and the colour it was divided by (new names, then old).
+CYCLES = ((" Direct", " Color"), (" Indirect", " Color"), ("Dir", "Col"), ("Ind", "Col"))
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One summand: a layer by index, times a factor image ``(H, W, 3)`` or nothing."""
+
+    layer: int
+    factor: FloatImage | None = None
+
+    def of(self, images: Sequence[FloatImage]) -> FloatImage:
+        """The value of the summand with these images as the layers."""
+        image = images[self.layer]
+        return image if self.factor is None else image * self.factor
+
+
+def terms(layers: Sequence[Layer], all_layers: Iterable[Layer]) -> list[Term]:
+    """The summands that layers of radiance can be; ``all_layers`` may hold their factors."""
+    by_name = {layer.name.lower(): layer for layer in all_layers}
+    found = []
+    for index, layer in enumerate(layers):
+        factor = None
+        for light, colour in CYCLES:
+            if layer.name.endswith(light):
+                partner = by_name.get((layer.name[: -len(light)] + colour).lower())
+                if partner is not None and partner.data.shape == layer.data.shape:
+                    factor = partner.data
+        found.append(Term(index, factor))
+    return found
+
+
+def find_sums(
+    beauty: FloatImage, images: Sequence[FloatImage], summands: Sequence[Term]
+) -> list[tuple[Term, ...]]:
+    """Every set of summands (two or more) whose sum is the beauty ``(H, W, C)``.
+
+    Looked for at some hundred pixels with a bounded search, then checked at all of them.
+    Layers without any light belong to no sum.
+    """
+    summands = [t for t in summands if images[t.layer].shape == beauty.shape]
+    values = [t.of(images) for t in summands]
+    where = _samples([beauty, *values])
+    at = [v.reshape(-1, v.shape[2])[where].astype(np.float64) for v in values]
+    lit = [i for i in range(len(at)) if at[i].any() and (at[i] >= 0).all()]
+    lit.sort(key=lambda i: -float(at[i].sum()))
+    goal = beauty.reshape(-1, beauty.shape[2])[where].astype(np.float64)
+    slack = _slack(goal, float(beauty.mean(dtype=np.float64)))
+    sums = []
+    for chosen in _subsets([at[i] for i in lit], goal, slack):
+        members = [lit[i] for i in chosen]
+        if len(members) > 1 and _fits(beauty, [values[i] for i in members]):
+            sums.append(tuple(summands[i] for i in sorted(members)))
+    return sums
+
+
+def keep_sums(
+    beauty: FloatImage, images: Sequence[FloatImage], sums: Sequence[tuple[Term, ...]]
+) -> list[FloatImage]:
+    """The images, changed so that each of ``sums`` gives ``beauty`` again, to float rounding.
+
+    What is missing is shared out in proportion to the layers' values, which is one factor for all
+    of a sum's layers in a pixel; nothing becomes negative. Where all of them are 0, it goes in
+    equal parts to the summands without a factor (with none such, the pixel stays as it is). A
+    layer of several sums is settled by the first of them that asks.
+    """
+    result = list(images)
+    settled: set[int] = set()
+    for members in sums:
+        free = [t for t in members if t.layer not in settled]
+        if not free:
+            continue
+        rest = beauty
+        for term in members:
+            if term.layer in settled:
+                rest = rest - term.of(result)
+        rest = np.maximum(rest, 0)
+        total = sum((t.of(result) for t in free[1:]), start=free[0].of(result))
+        tiny = np.finfo(np.float32).tiny
+        dark = total <= tiny
+        ratio = np.where(dark, 0, rest / np.maximum(total, tiny)).astype(np.float32)
+        plain = sum(t.factor is None for t in free)
+        for term in free:
+            image = result[term.layer] * ratio
+            if term.factor is None:
+                image = np.where(dark, rest / np.float32(plain), image)
+            result[term.layer] = image
+            settled.add(term.layer)
+    return result
+
+
+# ------------------------------------------------------------------- private
+
+
+def _samples(images: Sequence[FloatImage]) -> NDArray[np.intp]:
+    """Indices of pixels spread over the picture, and the brightest pixel of every image."""
+    pixels = images[0].shape[0] * images[0].shape[1]
+    spread = np.linspace(0, pixels - 1, min(pixels, _SAMPLES)).astype(np.intp)
+    bright = [int(image.max(axis=2).argmax()) for image in images]
+    return np.unique(np.concatenate([spread, np.array(bright, np.intp)]))
+
+
+def _slack(goal: NDArray[np.float64], mean: float) -> NDArray[np.float64]:
+    return RELATIVE * np.abs(goal) + ABSOLUTE * abs(mean)
+
+
+def _fits(beauty: FloatImage, values: Sequence[FloatImage]) -> bool:
+    total = sum(values[1:], start=values[0])
+    goal = beauty.astype(np.float64)
+    close = np.abs(total - goal) <= _slack(goal, float(goal.mean()))
+    return bool(np.count_nonzero(close) >= FITTING * close.size)
+
+
+def _subsets(
+    parts: Sequence[NDArray[np.float64]],
+    goal: NDArray[np.float64],
+    slack: NDArray[np.float64],
+) -> list[list[int]]:
+    """Sets of non-negative ``parts`` that add up to ``goal``, by depth-first search.
+
+    A branch ends where a pixel has too much already, or too little even with all the rest.
+    """
+    rest = [np.zeros_like(goal)]
+    for part in reversed(parts):
+        rest.append(rest[-1] + part)
+    rest.reverse()
+    found: list[list[int]] = []
+    open_ends: list[tuple[int, list[int], NDArray[np.float64]]] = [(0, [], np.zeros_like(goal))]
+    for _ in range(_MOST_STEPS):
+        if not open_ends or len(found) == _MOST_SUMS:
+            break
+        depth, chosen, total = open_ends.pop()
+        if (total > goal + slack).any() or (total + rest[depth] < goal - slack).any():
+            continue
+        if depth == len(parts):
+            found.append(chosen)
+            continue
+        open_ends.append((depth + 1, chosen, total))
+        open_ends.append((depth + 1, [*chosen, depth], total + parts[depth]))
+    return found
