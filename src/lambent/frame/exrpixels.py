@@ -17,7 +17,7 @@ import tempfile
 import threading
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, TextIO
 
 import numpy as np
@@ -398,32 +398,44 @@ class _OwnThread:
 
 @contextmanager
 def _quiet() -> Iterator[list[str]]:
-    """Collect what OpenEXR prints: Python warnings on stdout, C messages on file descriptor 2.
+    """Collect what OpenEXR prints: Python warnings, and C messages on descriptors 1 and 2.
 
-    The list is filled when the block ends. Text of others on descriptor 2 is passed on then.
+    The list is filled when the block ends. Text of others on the descriptors is passed on then.
     """
     said: list[str] = []
-    with _lock, tempfile.TemporaryFile() as kept:
+    with _lock, ExitStack() as stack:
         stdout = _OwnThread(sys.stdout)
-        try:
-            saved = os.dup(2)
-        except OSError:  # no stderr at all
-            saved = -1
-        if saved >= 0:
-            os.dup2(kept.fileno(), 2)
         sys.stdout = stdout  # type: ignore[assignment]
         try:
+            for number in (1, 2):
+                stack.enter_context(_diverted(number, said))
             yield said
         finally:
+            stack.close()
             if sys.stdout is stdout:
                 sys.stdout = stdout.other  # type: ignore[assignment]
-            if saved >= 0:
-                os.dup2(saved, 2)
-                os.close(saved)
+
+
+@contextmanager
+def _diverted(number: int, said: list[str]) -> Iterator[None]:
+    """Send a file descriptor to a temporary file; sort its lines when the block ends."""
+    try:
+        saved = os.dup(number)
+    except OSError:  # there is no such descriptor: nothing can be printed
+        yield
+        return
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), number)
+        try:
+            yield
+        finally:
+            os.dup2(saved, number)
+            os.close(saved)
             kept.seek(0)
             for line in kept.read().splitlines(keepends=True):
                 text = line.decode("utf-8", errors="replace").strip()
-                if "EXR_ERR" in text:
+                if "EXR_ERR" in text or text.startswith("ojph "):
                     said.append(text.replace("<python_buffer>: ", ""))
-                elif saved >= 0:
-                    os.write(2, line)
+                else:
+                    with suppress(OSError):
+                        os.write(number, line)

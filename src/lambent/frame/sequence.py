@@ -239,9 +239,9 @@ def _matching(path: Path) -> list[Sequence]:
         digits = match[1].lstrip("-")
         # Exactly as printf writes it, or the digits alone padded (some programs write -0001).
         exact = match[1] == _padded(number, width)
-        if exact or (number < 0 and len(digits) == width):
-            if exact or number not in found:
-                found[number] = folder / entry
+        loose = number < 0 and len(digits) == width and number not in found
+        if exact or loose:
+            found[number] = folder / entry
     pattern = str(folder / f"{head}{'#' * width}{tail}")
     return [_sequence(pattern, found)] if found else []
 
