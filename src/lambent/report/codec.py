@@ -69,7 +69,7 @@ class Packed:
 
 
 def pack_radiance(image: NDArray[Any], exposure: float) -> Packed:
-    """``(H, W, 3)`` linear radiance to a packed picture. Pixels that are not finite become black."""
+    """``(H, W, 3)`` linear radiance to a packed picture; what is not finite becomes black."""
     sound = np.where(np.isfinite(image), image, 0).astype(np.float32)
     x = np.maximum(sound * np.float32(exposure), 0)
     r, g, b = np.moveaxis(np.log2(1 + np.float32(TOE) * np.minimum(x, 1e5)), 2, 0)

@@ -252,7 +252,7 @@ def _subtitle(results: Comparison) -> str:
     parts = [f"{width} × {height} pixels"]
     if results.reference is not None:
         reference = results.reference
-        source = f"reference {reference.path}" if reference.path else "with a reference"
+        source = f"reference {Path(reference.path).name}" if reference.path else "with a reference"
         parts.append(source + (f", {reference.spp} spp" if reference.spp else ""))
     parts.append(f"display exposure × {number(results.exposure)}")
     return " <span>·</span> ".join(escape(p) for p in parts)
@@ -288,14 +288,20 @@ def _viewer(results: Comparison, kinds: list[Metric]) -> str:
 <button type="button" id="one" title="One to one (1)">1:1</button>
 </div>
 </div>
+<div class="work">
 <div class="stage" id="stage" tabindex="0" role="group" aria-label="Picture viewer"
  aria-describedby="keys">
 <div class="divider" id="divider" role="slider" tabindex="0" aria-label="Divider between A and B"
- aria-orientation="horizontal" aria-valuemin="0" aria-valuemax="100" aria-valuenow="50"><i></i></div>
+ aria-orientation="horizontal" aria-valuemin="0" aria-valuemax="100" aria-valuenow="50"
+><i></i></div>
+</div>
+<div class="detail">
+<div class="loupes" id="loupes" role="group" aria-label="Detail under the pointer"></div>
+<p id="where" class="where"></p>
+</div>
 </div>
 {legends}
-<div class="under"><p id="status" role="status"></p><p id="where" class="where"></p></div>
-<div class="loupes" id="loupes" role="group" aria-label="Detail under the pointer"></div>
+<p id="status" role="status"></p>
 <p class="keys" id="keys">Wheel or <kbd>+</kbd> <kbd>−</kbd> zoom, drag or arrow keys move
 (<kbd>Shift</kbd>: one pixel), <kbd>0</kbd> fit, <kbd>1</kbd> one to one, <kbd>[</kbd> <kbd>]</kbd>
 exposure, <kbd>x</kbd> swap A and B, <kbd>g</kbd> grid. The divider takes arrow keys too.</p>
@@ -345,9 +351,8 @@ def _metrics(results: Comparison) -> str:
             win = row.name in best[kind.name]
             cells.append(_cell(value, number(value), win, kind.name))
         if timed:
-            value = picture.details.get("seconds")
-            text = "–" if value is None else number(float(value))
-            cells.append(_cell(math.nan if value is None else float(value), text, False, "seconds"))
+            seconds = float(picture.details.get("seconds", math.nan))
+            cells.append(_cell(seconds, number(seconds), False, "seconds"))
         rows.append(cells)
     inner = table(
         headings, rows, caption="Metrics against the reference", kind="sortable", first="metrics"
@@ -369,7 +374,7 @@ def _cell(value: float, text: str, best: bool, metric: str) -> str:
     mark = '<i class="dot"></i><span class="hidden">best </span>' if best else ""
     return (
         f'<td data-value="{exact}" data-metric="{escape(metric)}"'
-        f'{" class=best" if best else ""}>{mark}{text}</td>'
+        f"{' class=best' if best else ''}>{mark}{text}</td>"
     )
 
 
@@ -393,24 +398,26 @@ def _histograms(
 
 
 def _facts(pictures: list[Picture], names: Mapping[int, str]) -> str:
-    keys = list(dict.fromkeys(k for p in pictures for k in p.details))
-    headings = ["Image", "File", "spp", *(escape(k.replace("_", " ").capitalize()) for k in keys)]
+    keys = dict.fromkeys(k for p in pictures for k in p.details if k != "spp")
+    texts = {k for k in keys if any(isinstance(p.details.get(k), str) for p in pictures)}
+    spp = {id(p): p.details.get("spp", p.spp) for p in pictures}
+    with_files = any(p.path for p in pictures)
+    with_spp = any(value is not None for value in spp.values())
+    headings = ["Image", *(["File"] if with_files else []), *(["spp"] if with_spp else [])]
+    headings += [escape(k.replace("_", " ").capitalize()) for k in keys]
     headings += ["Mean", "Median", "Maximum", "Grain", "Not finite", "Negative"]
     rows = []
     for picture in pictures:
         facts = picture.statistics()
-        cells = [
-            escape(names[id(picture)]),
-            f'<td class="text">{escape(picture.path or "–")}</td>',
-            escape(picture.spp or "–"),
-        ]
-        for key in keys:
-            value = picture.details.get(key, "–")
-            shown = number(float(value)) if isinstance(value, (float, np.floating)) else value
-            cells.append(f'<td class="text">{escape(shown)}</td>')
+        cells = [escape(names[id(picture)])]
+        if with_files:
+            cells.append(f'<td class="text">{escape(picture.path or "–")}</td>')
+        if with_spp:
+            cells.append(escape(spp[id(picture)] or "–"))
+        cells += [_detail(picture.details.get(key), key in texts) for key in keys]
         cells += [number(facts[k]) for k in ("mean", "median", "max", "noise")]
         for key in ("nonfinite", "negative"):
-            count = f"{int(facts[key]):,}".replace(",", " ")
+            count = f"{int(facts[key]):,}".replace(",", "\u2009")
             cells.append(f'<td class="warn">{count}</td>' if facts[key] else count)
         rows.append(cells)
     inner = table(headings, rows, caption="Images", first="images")
@@ -420,6 +427,13 @@ def _facts(pictures: list[Picture], names: Mapping[int, str]) -> str:
         "second difference along rows over the mean; texture counts too. Not finite, negative: "
         "pixels.</p></section>"
     )
+
+
+def _detail(value: Any, text: bool) -> str:
+    shown = "–" if value is None else value
+    if isinstance(value, (float, np.floating)):
+        shown = number(float(value))
+    return f'<td class="text">{escape(shown)}</td>' if text else escape(shown)
 
 
 def _notes(notes: list[str]) -> str:

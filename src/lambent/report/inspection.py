@@ -57,7 +57,10 @@ def inspection_page(
         elif isinstance(value, (list, tuple)) and value:
             items = "".join(f"<li>{_text(v)}</li>" for v in value)
             sections.append(
-                (_rank(key), f'<section><h2>{_words(key)}</h2><ul class="notes">{items}</ul></section>')
+                (
+                    _rank(key),
+                    f'<section><h2>{_words(key)}</h2><ul class="notes">{items}</ul></section>',
+                )
             )
         elif value not in (None, "", [], (), {}):
             facts.append((_words(key), _text(value)))

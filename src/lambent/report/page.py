@@ -12,14 +12,13 @@ import hashlib
 import html
 import json
 import os
-import tempfile
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import lambent
-from lambent.errors import OutputError
+from lambent.frame.atomic import atomic
 
 
 def escape(text: object) -> str:
@@ -42,7 +41,7 @@ def json_block(name: str, value: Any) -> str:
 
 def asset(name: str) -> str:
     """The text of a file in the folder ``page``."""
-    return resources.files("lambent.report").joinpath("page", name).read_text("utf-8")
+    return resources.files("lambent.report").joinpath("page").joinpath(name).read_text("utf-8")
 
 
 def build(
@@ -80,42 +79,24 @@ def build(
 
 
 def save(path: str | os.PathLike[str], text: str) -> Path:
-    """Write a page beside its target and move it there, so that no half page is ever seen.
+    """Write a page; an old one of that name is replaced in one step, never half.
 
     Raises `OutputError` where that fails.
     """
-    target = Path(path)
-    temporary = None
-    try:
-        handle, temporary = tempfile.mkstemp(
-            prefix=f".{target.name}.", suffix=".part", dir=target.parent
-        )
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
-        temporary = None
-    except OSError as error:
-        raise OutputError(
-            f"the report cannot be written: {error.strerror or error}",
-            file=target,
-            remedy="choose a folder that exists and can be written to",
-        ) from error
-    finally:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-    return target
+    with atomic(path, overwrite=True) as file:
+        file.write(text.encode("utf-8"))
+    return Path(path)
 
 
 def table(
     headings: list[str], rows: list[list[str]], *, caption: str, kind: str = "", first: str = ""
 ) -> str:
     """A table from markup cells; the first cell of a row is its heading."""
-    head = "".join(f'<th scope="col">{h}</th>' for h in headings)
+    texts = [any(r[i].startswith('<td class="text"') for r in rows) for i in range(len(headings))]
+    head = "".join(
+        f'<th scope="col" class="text">{h}</th>' if text else f'<th scope="col">{h}</th>'
+        for h, text in zip(headings, texts, strict=True)
+    )
     body = "".join(
         "<tr>"
         + f'<th scope="row">{row[0]}</th>'

@@ -42,7 +42,6 @@
 
   function mapCanvas(image) {
     const { map, layer } = mapOf(image);
-    if (!layer) return blank();
     if (layer.canvas) return layer.canvas;
     if (!layer.waiting) {
       layer.waiting = true;
@@ -63,18 +62,10 @@
     return null;
   }
 
-  let blankCanvas = null;
-  function blank() {
-    if (!blankCanvas) {
-      blankCanvas = Object.assign(document.createElement("canvas"), { width: 1, height: 1 });
-      const context = blankCanvas.getContext("2d");
-      context.fillStyle = `rgb(${palette[0]} ${palette[1]} ${palette[2]})`;
-      context.fillRect(0, 0, 1, 1);
-    }
-    return blankCanvas;
-  }
-
-  const shown = (image) => (state.show === "picture" ? pictureCanvas(image) : mapCanvas(image));
+  // What has no map (the reference, the first of two pictures) is shown as a picture.
+  const mapped = (image) => state.show !== "picture" && Boolean(mapOf(image)?.layer);
+  const shown = (image) => (mapped(image) ? mapCanvas(image) : pictureCanvas(image));
+  const nameOf = (image) => image.name + (state.show === "picture" || mapped(image) ? "" : "  (picture)");
 
   // ------------------------------------------------------------ geometry
 
@@ -82,7 +73,8 @@
     const pane = panes[0];
     if (!pane) return 1;
     const scale = Math.min(pane.canvas.clientWidth / W, pane.canvas.clientHeight / H);
-    return scale > 1 ? Math.floor(scale) : scale;   // whole pixels stay whole
+    const ratio = window.devicePixelRatio || 1;
+    return scale > 1 ? Math.floor(scale * ratio) / ratio : scale;   // whole pixels stay whole
   }
 
   const scaleNow = () => (state.fit ? fitScale() : state.scale);
@@ -191,7 +183,7 @@
       const image = images[index];
       const context = loupe.canvas.getContext("2d");
       const pixels = context.createImageData(LOUPE, LOUPE);
-      const picked = state.show === "picture" ? null : mapOf(image);
+      const picked = mapped(image) ? mapOf(image) : null;
       let text = "";
       for (let v = 0; v < LOUPE; v++) for (let u = 0; u < LOUPE; u++) {
         const x = px + u - r, y = py + v - r, j = 4 * (v * LOUPE + u);
@@ -199,14 +191,11 @@
         const i = y * W + x;
         if (picked) {
           const layer = picked.layer;
-          let value = 0;
-          if (layer) {
-            if (!layer.values) { mapCanvas(image); continue; }
-            const mx = Math.min(layer.w - 1, Math.floor(x * layer.w / W)), my = Math.min(layer.h - 1, Math.floor(y * layer.h / H));
-            value = layer.values[my * layer.w + mx];
-          }
+          if (!layer.values) { mapCanvas(image); continue; }
+          const mx = Math.min(layer.w - 1, Math.floor(x * layer.w / W)), my = Math.min(layer.h - 1, Math.floor(y * layer.h / H));
+          const value = layer.values[my * layer.w + mx];
           pixels.data.set(palette.subarray(3 * value, 3 * value + 3), j);
-          if (u === r && v === r) text = layer ? mapValue(picked.map, value / 255) : "0";
+          if (u === r && v === r) text = mapValue(picked.map, value / 255);
         } else {
           if (!image.codes) continue;
           if (image.bad.has(i)) pixels.data.set([255, 0, 255], j);
@@ -244,14 +233,14 @@
         for (const [side, letter] of [["a", "A"], ["b", "B"]]) {
           const tag = document.createElement("span");
           tag.className = `tag ${side}`;
-          tag.textContent = `${letter}  ${images[state[side]].name}`;
+          tag.textContent = `${letter}  ${nameOf(images[state[side]])}`;
           root.append(tag);
         }
         canvas.setAttribute("aria-label", `${images[state.a].name} beside ${images[state.b].name}`);
       } else {
         const tag = document.createElement("span");
         tag.className = "tag a";
-        tag.textContent = images[index].name;
+        tag.textContent = nameOf(images[index]);
         root.append(tag);
         canvas.setAttribute("aria-label", images[index].name);
       }
@@ -316,7 +305,7 @@
     state.show = value;
     check("show", value);
     for (const legend of document.querySelectorAll(".legend")) legend.hidden = legend.dataset.map !== value;
-    draw();
+    layout();
   }
   function setPair(side, index) {
     state[side] = index;
