@@ -7,7 +7,7 @@ pixels the average is worth, and the bias it risks; with -o also a picture of th
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,6 +20,9 @@ from lambent.cli.options import (
     print_json,
 )
 from lambent.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from lambent.filters.explain import Explanation
 
 EPILOG = "Example: lambent explain noisy.exr --pixel 120,80 --model cross-bilateral -o weights.png"
 
@@ -36,6 +39,10 @@ def explain(
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="PICTURE.png", help="Write the weights as a PNG."),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="REF", help="The noise-free image, to measure the bias with."),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a picture that exists.")
@@ -56,17 +63,18 @@ def explain(
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
         noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None))
+        truth = None if reference is None else read(reference).colour
         progress.report(0, 1, f"weights of {model}")
-        found = find_weights(noisy, model, x, y, **pairs("--set", setting))
+        found = find_weights(noisy, model, x, y, reference=truth, **pairs("--set", setting))
         if output is not None:
             from lambent.frame.atomic import atomic
 
             with atomic(output, overwrite) as file:
-                file.write(found.to_png())
+                file.write(found.png())
     if as_json:
-        print_json({**_facts(found, model, x, y), "picture": None if output is None else output})
+        print_json({**found.as_dict(), "picture": None if output is None else str(output)})
     else:
-        _print(found, model, x, y)
+        _print(found)
         if output is not None:
             print(f"\n{output}")
 
@@ -85,3 +93,36 @@ def _pixel(text: str) -> tuple[int, int]:
             f"'{text}' is no pixel", remedy="write column,row from the upper left: --pixel 120,80"
         ) from None
     return x, y
+
+
+def _print(found: Explanation) -> None:
+    height, width = found.weights.shape
+    x, y = found.pixel
+    share = 100 * float((abs(found.weights) > 1e-6 * found.greatest).mean())
+    bias = ", ".join(f"{value:+.3g}" for value in found.bias)
+    print(f"{found.model} at pixel {x},{y}\n")
+    rows = [
+        ("sum of weights", f"{found.sum:.4f}", "1: neither brightens nor darkens"),
+        (
+            "weights",
+            f"{found.least:.2g} to {found.greatest:.2g}",
+            "negative ones extrapolate" if found.least < 0 else "smallest and largest",
+        ),
+        ("looks at", f"{width}x{height} pixels", f"{share:.0f} % of them with some weight"),
+        (
+            "variance left",
+            f"{found.variance_reduction:.4g}",
+            "sum of squared weights; less is better",
+        ),
+        ("worth", f"{found.effective_pixels:.1f} pixels", "of a plain mean with that variance"),
+        ("bias at risk", bias, f"R, G, B; {_measured_on(found)}"),
+    ]
+    left = max(len(value) for _, value, _ in rows) + 2
+    for label, value, note in rows:
+        print(f"  {label:<16}{value:<{left}}{note}")
+
+
+def _measured_on(found: Explanation) -> str:
+    if found.bias_from == "reference":
+        return "measured on the reference"
+    return "measured on the result: at least this"

@@ -1,7 +1,172 @@
 """Show what is in a file: parts, channels, which layer is what and why, and what looks wrong.
 
-Values are decoded and counted: NaN, infinite, negative, huge. Hints tell of a splatted pixel
-filter, tone-mapped colour and clamped half values, which denoisers suffer from.
+All values are decoded and counted: NaN, infinite, negative. Hints tell of what denoisers suffer
+from, such as a splatted pixel filter, tone-mapped colour, or clamped half values.
 """
 
 from __future__ import annotations
+
+import shutil
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import JsonOption, MapOption, pairs, print_json
+from lambent.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from lambent.frame.inspection import Inspection, LayerReport
+
+EPILOG = "Example: lambent inspect noisy.exr --map albedo=tex"
+
+
+def inspect(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF or HDR.")],
+    mapping: MapOption = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write one HTML page, beside FILE unless -o says.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="PAGE.html", help="Where to write the page."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a page that exists.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.errors import OutputError
+    from lambent.frame.inspection import inspect_file
+
+    roles = pairs("--map", mapping) or None
+    page = output
+    if page is None and report:
+        page = file.with_name(f"{file.stem}_inspection.html")
+    if page is not None and page.exists() and not overwrite:
+        raise OutputError(
+            "the page exists already", file=page, remedy="allow replacing it with --overwrite"
+        )
+    with Progress(file.name, quiet=as_json) as progress:
+        progress.report(0, 1, "inspecting")
+        found = inspect_file(file, roles)
+        if page is not None:
+            progress.report(0, 1, "writing the page")
+            _write_page(page, found, roles)
+    if as_json:
+        print_json({**found.as_dict(), "report": None if page is None else str(page)})
+        return
+    _print(found)
+    if page is not None:
+        print(f"\n{page}")
+
+
+# ------------------------------------------------------------------- private
+
+
+def _write_page(page: Path, found: Inspection, roles: dict[str, str] | None) -> None:
+    from lambent.frame.files import read
+    from lambent.frame.role import Role
+    from lambent.report import write_inspection
+
+    pictures: dict[str, Any] = {}
+    for layer in read(found.path, roles=roles).all_layers():
+        if layer.role not in (Role.ID, Role.OTHER) and layer.data.shape[2] in (1, 3):
+            pictures[layer.name] = layer.data
+    write_inspection(page, found.as_dict(), pictures)
+
+
+def _print(found: Inspection) -> None:
+    from lambent.denoise.tiles import show_size
+
+    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    facts = [f"{found.width}x{found.height}", found.format.upper(), show_size(found.size)]
+    facts += [f"{found.spp} spp"] if found.spp else []
+    facts += [f"views {', '.join(found.views)}"] if found.views else []
+    print(f"{found.path}: {', '.join(facts)}")
+    dialect = "names of no renderer in particular" if found.dialect == "generic" else found.dialect
+    _wrapped(f"  {dialect} ({found.dialect_why})", 2, width)
+    for part in found.parts:
+        x0, y0, x1, y1 = part.data_window
+        window = "" if part.data_window == part.display_window else f" at ({x0}, {y0})"
+        name = f"'{part.name}'" if part.name else "unnamed"
+        kinds = "/".join(dict.fromkeys(c.type for c in part.channels))
+        print(
+            f"  part {part.index} {name}: {x1 - x0 + 1}x{y1 - y0 + 1}{window}, "
+            f"{len(part.channels)} {kinds} channels, {part.type}, {part.compression}"
+        )
+    _print_layers(found.layers, len(found.parts) > 1, bool(found.views), width)
+    for total in found.sums:
+        if total.sums:
+            _wrapped(f"sum       {' + '.join(total.layers)} = {total.beauty}", 10, width)
+    for hint in found.suspicions:
+        _wrapped(f"{hint.level:<10}{hint.explanation} {hint.remedy}", 10, width)
+    for note in found.notes:
+        _wrapped(f"note      {note}", 10, width)
+
+
+def _print_layers(layers: tuple[LayerReport, ...], parts: bool, views: bool, width: int) -> None:
+    """One line a layer: role, name, range; trouble and the reason below it."""
+    if not layers:
+        print("\nNo layers.")
+        return
+    roles = [
+        _role(layer) + (f" ({layer.view})" if views and layer.view else "") for layer in layers
+    ]
+    first = max([4, *map(len, roles)]) + 2
+    second = min(max([8, *(len(layer.name) for layer in layers)]), max(16, width - first - 50)) + 2
+    print()
+    for role, layer in zip(roles, layers, strict=True):
+        name = layer.name if len(layer.name) <= second - 2 else layer.name[: second - 3] + "…"
+        channels = " ".join(c.rpartition(".")[2] for c in layer.channels)
+        print(f"{role:<{first}}{name:<{second}}{_range(layer):<22}  {channels}".rstrip())
+        trouble = [
+            f"{count} {word}"
+            for count, word in (
+                (layer.nan, "NaN"),
+                (layer.infinite, "infinite"),
+                (layer.negative if layer.role.value in _POSITIVE else 0, "negative"),
+            )
+            if count
+        ]
+        if trouble:
+            print(" " * first + f"! {', '.join(trouble)} values")
+        if layer.why and layer.role.value != "other":
+            _wrapped(" " * first + layer.why, first, width)
+    if ids:
+        _wrapped(f"{'id':<{first}}{', '.join(ids)} (never filtered)", first, width)
+    print()
+
+
+#: Roles in which a negative value is worth a remark.
+_POSITIVE = frozenset(
+    {"colour", "alpha", "albedo", "roughness", "emission", "diffuse", "specular", "direct"}
+    | {"indirect", "lighting", "diffuse_albedo", "specular_albedo"}
+)
+
+
+def _role(layer: LayerReport) -> str:
+    stat = layer.stat.value
+    return layer.role.value if stat == "mean" else f"{layer.role.value}.{stat}"
+
+
+def _range(layer: LayerReport) -> str:
+    if layer.low is None or layer.high is None:
+        return "no finite value"
+    return f"{layer.low:.4g} … {layer.high:.4g}"
+
+
+def _wrapped(text: str, indent: int, width: int) -> None:
+    lead = len(text) - len(text.lstrip())
+    print(
+        textwrap.fill(
+            text.strip(),
+            width,
+            initial_indent=" " * lead,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    )
