@@ -8,8 +8,8 @@ normal samples that is the best rule in the mean-squared sense. The members are 
 Gaussian in the image and in albedo and normal (`lambent.kernels.statistics`).
 
 Samples of radiance are not normal. So the test looks at Box-Cox transformed samples
-x = (c^λ − 1)/λ, λ = 1/2, and the mean is corrected for their skewness (Johnson 1978): m + μ₃/(6 s² n).
-Frames carry these as layers ``boxcox``, ``boxcox_variance`` (of the mean) and ``boxcox_skew`` (the
+x = (c^λ − 1)/λ, λ = 1/2, and the mean is corrected for their skewness: m + μ₃/(6 s² n), Johnson
+1978. Frames carry these as layers ``boxcox``, ``boxcox_variance`` (of the mean) and ``boxcox_skew`` (the
 third central moment of the samples). What is averaged is always the radiance itself.
 
 Defaults are the authors' (their public implementation): radius 20, σ = 10 pixels, 0.1 for normals,

@@ -272,8 +272,7 @@ def spread(weights: Weights, images: Image) -> Image:
     import drjit as dr
 
     jit = backend(weights.device)
-    window, height, width = weights.window, weights.height, weights.width
-    s = window.stride
+    s = weights.window.stride
     values = [
         jit.Float(np.ascontiguousarray(v[::s, ::s]).ravel()) for v in np.moveaxis(images, 2, 0)
     ]
