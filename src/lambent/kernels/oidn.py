@@ -9,6 +9,9 @@ it along and lets it work on Dr.Jit's thread pool (Dr.Jit itself is not imported
 - Devices and the last few filters are kept for the process (a filter costs 0.1 to 0.2 s to make
   anew, mostly fresh memory); images are let go after every call. Calls from several threads take
   turns: one call uses all cores.
+- Every call of OIDN, the release of a filter included, waits for the device's own lock while it
+  holds Python's. A progress monitor that waits for Python's lock meanwhile would wait for ever. So
+  everything that touches a device happens under one lock of ours, and no filter is let go outside.
 - OIDN cannot be interrupted by a signal, only by its progress monitor. So on the main thread the
   work runs in a helper thread, and Ctrl-C stops it within a few hundredths of the whole.
 """
@@ -236,14 +239,14 @@ def _clean(
             if fetch is not None:
                 fetch.read(result)
         except RuntimeError as error:
-            _filters.pop((options, shapes), None)
             if trouble:
                 raise trouble[0] from None
-            raise _explained(error, stop.is_set()) from error
+            raise _explained(error, stop.is_set()) from error.with_traceback(None)
         finally:
             worker.set_progress_monitor(None)
             for name in bound:
                 worker.unset_image(name)
+            worker = None  # no traceback may keep it: see the module's docstring
     return result
 
 
