@@ -4,7 +4,7 @@ What is not replaced stays:
 
 - parts without a replaced channel, and every header, are copied as they stand, byte for byte;
 - in a part with replaced channels the others keep their decoded values bit for bit. Where the
-  part's compression would change them (B44, DWAA, DWAB), the part is packed with ZIP instead;
+  part's compression would change them (DWAA, DWAB; at times B44), it is packed with ZIP instead;
 - lower levels of mip- and rip-maps are made anew for the replaced channels, by averaging;
 - a part with sub-sampled channels is packed with ZIP: the OpenEXR module cannot write those.
 

@@ -1,0 +1,353 @@
+"""What is not replaced comes back bit for bit: every shared file, every kind of file there is."""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import exr_samples
+import numpy as np
+import OpenEXR
+import pytest
+
+from lambent.errors import LambentError, LayerError, OutputError
+from lambent.frame.exr import ExrFile, decode, encode
+from lambent.frame.exrpixels import decode_rows
+from lambent.frame.exrwrite import shrink, to_type
+
+SHARED = (
+    "arnold_id_multipart",
+    "arnold_multichannel_tiled",
+    "arnold_three_cryptomattes_tiled",
+    "cycles_box_4096spp",
+    "gaffer_weird_part_names",
+    "mitsuba3_aov_cornell",
+    "nuke_multiview_singlepart",
+    "openexr_beachball_multipart_stereo",
+    "openexr_beachball_singlepart_stereo",
+    "openexr_displaywindow_t08",
+    "openexr_luminance_chroma_rec709",
+    "openexr_mipmap_colorcodedlevels",
+    "openexr_nan_inf",
+    "vray_cornell_layers_cryptomatte",
+)
+#: Files that had to be packed differently, so that compression and chunk count differ.
+REPACKED = {"openexr_luminance_chroma_rec709"}
+
+
+def all_levels(exr: ExrFile) -> dict[tuple[int, int, int, str], bytes]:
+    """Every channel of every level of every part, as bytes."""
+    found = {}
+    for part in exr.container.parts:
+        for level in part.levels:
+            pixels = decode_rows(exr.container, part, None, level)
+            for name, array in pixels.items():
+                found[part.index, level.lx, level.ly, name] = array.tobytes()
+    return found
+
+
+def pattern(array: np.ndarray) -> np.ndarray:
+    """Other pixels of the same type, exact in all of them."""
+    return (np.arange(array.size).reshape(array.shape) % 500).astype(array.dtype)
+
+
+def assert_same_but(before: ExrFile, after: ExrFile, changed: set[tuple[int, str]]) -> None:
+    old, new = all_levels(before), all_levels(after)
+    assert list(old) == list(new)
+    different = {(key[0], key[3]) for key in old if old[key] != new[key]}
+    assert different <= changed
+
+
+def assert_same_headers(before: ExrFile, after: ExrFile, repacked: bool = False) -> None:
+    assert len(before.parts) == len(after.parts)
+    for old, new in zip(before.container.parts, after.container.parts, strict=True):
+        if not repacked:
+            assert old.raw == new.raw
+        else:
+            skip = {"compression", "chunkCount"}
+            assert [(a.name, a.kind) for a in old.attributes] == [
+                (a.name, a.kind) for a in new.attributes
+            ]
+            assert [a.raw for a in old.attributes if a.name not in skip] == [
+                a.raw for a in new.attributes if a.name not in skip
+            ]
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_shared_file_comes_back(name: str, shared_data: Path, tmp_path: Path) -> None:
+    """One channel replaced in one part: all else, all levels, all header bytes as they were.
+
+    Twin: OpenEXR's own module, which reads the file before and after.
+    """
+    source = shared_data / "exr" / f"{name}.exr"
+    exr, twin = decode(source), exr_samples.bare(source)
+    index = len(exr.parts) - 1
+    channel = next(iter(exr.parts[index].channels.values()))
+    new = pattern(channel.data)
+    encode(tmp_path / "out.exr", exr, {(index, channel.name): new})
+    back, after = decode(tmp_path / "out.exr"), exr_samples.bare(tmp_path / "out.exr")
+    assert_same_headers(exr, back, name in REPACKED)
+    assert [list(p) for p in twin] == [list(p.channels) for p in exr.parts]
+    for part, before, then in zip(exr.parts, twin, after, strict=True):
+        for key, pixels in before.items():
+            assert part.channels[key].data.tobytes() == pixels.tobytes()
+            expected = new if (part.index, key) == (index, channel.name) else pixels
+            assert then[key].dtype == pixels.dtype
+            assert then[key].tobytes() == expected.tobytes()
+    if any(len(p.levels) > 1 for p in exr.container.parts):
+        assert_same_but(exr, back, {(index, channel.name)})
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_shared_file_unchanged_is_the_same_file(
+    name: str, shared_data: Path, tmp_path: Path
+) -> None:
+    """Nothing replaced: not a byte differs."""
+    source = shared_data / "exr" / f"{name}.exr"
+    assert encode(tmp_path / "out.exr", decode(source)) == ()
+    assert (tmp_path / "out.exr").read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("storage", ["scanline", "tiled", "parts", "tiled parts"])
+@pytest.mark.parametrize("compression", exr_samples.COMPRESSIONS)
+def test_every_compression_type_and_storage(compression: str, storage: str, tmp_path: Path) -> None:
+    """Half, float and uint together, in all compressions: the untouched stay bit for bit."""
+    (tmp_path / "in.exr").write_bytes(
+        exr_samples.content(
+            compression,
+            tiled="tiled" in storage,
+            parts=2 if "parts" in storage else 1,
+            origin=(-7, 11),
+        )
+    )
+    exr = decode(tmp_path / "in.exr")
+    last = exr.parts[-1]
+    for channel in ("R", "depth.Z", "id"):
+        new = pattern(last.channels[channel].data)
+        notes = encode(tmp_path / "out.exr", exr, {(last.index, channel): new}, overwrite=True)
+        back = decode(tmp_path / "out.exr")
+        assert_same_but(exr, back, {(last.index, channel)})
+        repacked = back.parts[-1].compression != last.compression
+        assert_same_headers(exr, back, repacked)
+        assert repacked == bool(notes)
+        if last.compression != "pxr24" or channel != "depth.Z":
+            got = back.parts[-1].channels[channel].data
+            lossless = repacked or last.compression not in ("b44", "b44a", "dwaa", "dwab")
+            assert got.tobytes() == new.tobytes() or not lossless
+        exr_samples.bare(tmp_path / "out.exr")
+
+
+def test_lossy_part_is_repacked_only_where_needed(tmp_path: Path) -> None:
+    """DWAA changes the others each time: ZIP then, with a note. PXR24 does not: it stays."""
+    for compression, expected in (("DWAA_COMPRESSION", "zip"), ("PXR24_COMPRESSION", "pxr24")):
+        (tmp_path / "in.exr").write_bytes(exr_samples.content(compression, parts=2))
+        exr = decode(tmp_path / "in.exr")
+        notes = encode(
+            tmp_path / "out.exr", exr, {(0, "id"): exr.parts[0].channels["id"].data + 1}, True
+        )
+        back = decode(tmp_path / "out.exr")
+        assert back.parts[0].compression == expected
+        assert any("ZIP" in note for note in notes) == (expected == "zip")
+        assert back.parts[1].compression == exr.parts[1].compression
+
+
+def mipmapped(mode: int, round_up: bool, tmp_path: Path) -> ExrFile:
+    """A mip- or rip-mapped file: OpenEXR's module cannot write one, so ours is turned into one.
+
+    Level by level as single-level tiles from the module, put together here by the format's rules.
+    """
+    height, width, size = 21, 38, 8
+    rng = np.random.default_rng(5)
+
+    def log(n: int) -> int:
+        return (n - 1).bit_length() if round_up else n.bit_length() - 1
+
+    def at(n: int, level: int) -> int:
+        return max(1, -(-n // 2**level) if round_up else n // 2**level)
+
+    if mode == 1:
+        numbers = [(n, n) for n in range(log(max(height, width)) + 1)]
+    else:
+        numbers = [(x, y) for y in range(log(height) + 1) for x in range(log(width) + 1)]
+    head, chunks = b"", []
+    for lx, ly in numbers:
+        shape = at(height, ly), at(width, lx)
+        tiles = OpenEXR.TileDescription()
+        tiles.xSize = tiles.ySize = size
+        pixels = {
+            "Z": rng.random(shape, np.float32),
+            "id": rng.integers(0, 99, shape, dtype=np.uint32),
+        }
+        header = {"type": OpenEXR.tiledimage, "tiles": tiles,
+                  "compression": OpenEXR.ZIP_COMPRESSION}  # fmt: skip
+        OpenEXR.File(header, pixels).write(str(tmp_path / "level.exr"))
+        one = decode(tmp_path / "level.exr").container
+        raw = (tmp_path / "level.exr").read_bytes()
+        if not head:
+            found = one.parts[0].find("tiles")
+            head = bytearray(raw[: 8 + len(one.parts[0].raw)])
+            head[8 + found.at + 8] = mode | (16 if round_up else 0)
+        for start, length in zip(one.chunks[0].start, one.chunks[0].size, strict=True):
+            chunk = bytearray(raw[start : start + 20 + length])
+            chunk[8:16] = struct.pack("<2i", lx, ly)
+            chunks.append(bytes(chunk))
+    place, table = len(head) + 8 * len(chunks), []
+    for chunk in chunks:
+        table.append(place)
+        place += len(chunk)
+    content = bytes(head) + struct.pack(f"<{len(table)}Q", *table) + b"".join(chunks)
+    (tmp_path / "levels.exr").write_bytes(content)
+    return decode(tmp_path / "levels.exr")
+
+
+@pytest.mark.parametrize("round_up", [False, True])
+@pytest.mark.parametrize("mode", [1, 2])
+def test_levels_survive(mode: int, round_up: bool, tmp_path: Path) -> None:
+    """Mip- and rip-maps: all levels of untouched channels as they were, the others made anew."""
+    exr = mipmapped(mode, round_up, tmp_path)
+    assert OpenEXR.File(str(tmp_path / "levels.exr"), separate_channels=True).parts
+    new = np.full((21, 38), 7.0, np.float32)
+    notes = encode(tmp_path / "out.exr", exr, {(0, "Z"): new})
+    back = decode(tmp_path / "out.exr")
+    assert_same_headers(exr, back)
+    assert_same_but(exr, back, {(0, "Z")})
+    assert "levels" in notes[0]
+    for level in back.container.parts[0].levels:
+        pixels = decode_rows(back.container, back.container.parts[0], None, level)["Z"]
+        assert pixels.shape == (level.height, level.width)
+        assert (pixels == 7).all()  # a grey picture stays grey on every level
+
+
+def test_shrink_is_the_mean() -> None:
+    """Known answer, even and odd sizes; ids are picked, never mixed."""
+    image = np.arange(12, dtype=np.float32).reshape(2, 6)
+    np.testing.assert_array_equal(shrink(image, 1, 3), [[3.5, 5.5, 7.5]])
+    odd = shrink(np.array([[1, 2, 3, 4, 6]], np.float32), 1, 2)
+    np.testing.assert_allclose(odd, [[1.5, 13 / 3]])
+    ids = shrink(np.array([[7, 9]], np.uint32), 1, 1)
+    assert ids.dtype == np.uint32
+    assert ids[0, 0] == 7
+
+
+def test_opaque_attributes_and_their_order_survive(tmp_path: Path) -> None:
+    """An attribute of an unknown type, first in the header, which the module would drop."""
+    (tmp_path / "in.exr").write_bytes(exr_samples.opaque_attribute(exr_samples.content()))
+    exr = decode(tmp_path / "in.exr")
+    assert exr.parts[0].header["secret"] == b"\0\1\2\3\4"
+    encode(tmp_path / "out.exr", exr, {(0, "R"): exr.parts[0].channels["R"].data * 2})
+    back = decode(tmp_path / "out.exr")
+    assert_same_headers(exr, back)
+    assert back.container.parts[0].attributes[0].name == "secret"
+
+
+def test_line_order_is_kept(tmp_path: Path) -> None:
+    """Chunks of an untouched part keep their order in the file (decreasing y)."""
+    content = bytearray(exr_samples.content(parts=2, extra={"lineOrder": OpenEXR.DECREASING_Y}))
+    (tmp_path / "in.exr").write_bytes(content)
+    exr = decode(tmp_path / "in.exr")
+    start = exr.container.chunks[1].start
+    assert (np.diff(start) < 0).all()
+    encode(tmp_path / "out.exr", exr, {(0, "R"): exr.parts[0].channels["R"].data})
+    back = decode(tmp_path / "out.exr")
+    assert (np.diff(back.container.chunks[1].start) < 0).all()
+    assert back.parts[0].header["lineOrder"] == "decreasing"
+    assert_same_but(exr, back, set())
+
+
+def test_channel_names_that_are_no_text(tmp_path: Path) -> None:
+    """A channel named in Latin-1 bytes: it can be read, replaced, and keeps its bytes."""
+    raw = exr_samples.content(channels={"caf_": np.ones((4, 5), np.float32)})
+    (tmp_path / "in.exr").write_bytes(raw.replace(b"caf_\0", b"caf\xe9\0"))
+    exr = decode(tmp_path / "in.exr")
+    (name,) = exr.parts[0].channels
+    encode(tmp_path / "out.exr", exr, {(0, name): np.full((4, 5), 3.0, np.float32)})
+    assert b"caf\xe9\0" in (tmp_path / "out.exr").read_bytes()
+    assert (decode(tmp_path / "out.exr").parts[0].channels[name].data == 3).all()
+
+
+def test_rows_and_fill_equal_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading in bands gives what reading at once gives, for rows, tiles, and windows anywhere."""
+    from lambent.frame import exrpixels
+
+    monkeypatch.setattr(exrpixels, "BAND_BYTES", 3000)
+    for tiled in (False, True):
+        for compression in ("ZIP_COMPRESSION", "NO_COMPRESSION", "ZIPS_COMPRESSION"):
+            content = exr_samples.content(compression, tiled=tiled, origin=(3, -20))
+            (tmp_path / "in.exr").write_bytes(content)
+            whole = exr_samples.bare(tmp_path / "in.exr")[0]
+            part = decode(tmp_path / "in.exr").parts[0]
+            assert (part.rows(5, 23)["G"] == whole["G"][5:23]).all()
+            image = np.zeros((20, 11, 2), np.float32)
+            places = {"G": [(image[:, :, 0], 9, 4)], "depth.Z": [(image[:, :, 1], 9, 4)]}
+            part.fill(places)
+            assert (image[:, :, 0] == whole["G"][9:29, 4:15]).all()
+            assert (image[:, :, 1] == whole["depth.Z"][9:29, 4:15]).all()
+            assert not part.pixels.kept
+
+
+def test_writing_in_bands_equals_writing_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Small bands bound the memory and change nothing."""
+    from lambent.frame import exrpixels
+
+    for tiled in (False, True):
+        (tmp_path / "in.exr").write_bytes(exr_samples.content(tiled=tiled, parts=2))
+        exr = decode(tmp_path / "in.exr")
+        replaced = {(0, "R"): pattern(exr.parts[0].channels["R"].data)}
+        encode(tmp_path / "one.exr", exr, replaced, True)
+        monkeypatch.setattr(exrpixels, "BAND_BYTES", 2000)
+        encode(tmp_path / "many.exr", exr, replaced, True)
+        monkeypatch.undo()
+        assert (tmp_path / "one.exr").read_bytes() == (tmp_path / "many.exr").read_bytes()
+
+
+def test_to_type_clamps_and_keeps_what_was_infinite() -> None:
+    """A half never becomes infinite; what was infinite or NaN before stays so."""
+    values = np.array([1e6, -1e6, 65519.0, np.inf, -np.inf, np.nan, 0.5], np.float32)
+    half = to_type(values, np.dtype(np.float16))
+    np.testing.assert_array_equal(half, [65504, -65504, 65504, np.inf, -np.inf, np.nan, 0.5])
+    whole = to_type(np.array([-1, 2.4, 5e9, np.nan], np.float32), np.dtype(np.uint32))
+    np.testing.assert_array_equal(whole, [0, 2, 4294967295, 0])
+
+
+def test_wrong_size_and_unknown_channel_are_errors(tmp_path: Path) -> None:
+    (tmp_path / "in.exr").write_bytes(exr_samples.content())
+    exr = decode(tmp_path / "in.exr")
+    with pytest.raises(LayerError, match="29x37"):
+        encode(tmp_path / "o.exr", exr, {(0, "R"): np.zeros((3, 3), np.float32)})
+    with pytest.raises(LayerError, match="no channel 'Q'"):
+        encode(tmp_path / "o.exr", exr, {(0, "Q"): np.zeros((37, 29), np.float32)})
+    assert os.listdir(tmp_path) == ["in.exr"]
+
+
+def test_reading_goes_on_after_the_file_was_replaced(tmp_path: Path) -> None:
+    """Pixels come from the file that was opened, even when its name means another one by now."""
+    path = tmp_path / "in.exr"
+    path.write_bytes(exr_samples.content())
+    exr = decode(path)
+    old = exr_samples.bare(path)[0]["R"]
+    encode(path, decode(path), {(0, "R"): np.zeros_like(old)}, overwrite=True)
+    assert exr.parts[0].channels["R"].data.tobytes() == old.tobytes()
+
+
+def test_texts_can_be_added_to_the_header(tmp_path: Path) -> None:
+    """Added or replaced; names over 31 bytes need a flag, without which readers refuse the file."""
+    (tmp_path / "in.exr").write_bytes(exr_samples.content())
+    exr = decode(tmp_path / "in.exr")
+    long_name = "an/attribute/with/a/really/long/name"
+    encode(tmp_path / "a.exr", exr, {}, attributes={"note": "one", long_name: "x"})
+    encode(tmp_path / "b.exr", decode(tmp_path / "a.exr"), {}, attributes={"note": "longer text"})
+    header = OpenEXR.File(str(tmp_path / "b.exr")).header()
+    assert header["note"] == "longer text"
+    assert header[long_name] == "x"
+    assert_same_but(exr, decode(tmp_path / "b.exr"), set())
+
+
+def test_existing_target_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "in.exr").write_bytes(exr_samples.content())
+    with pytest.raises(OutputError, match="exists already") as caught:
+        encode(tmp_path / "in.exr", decode(tmp_path / "in.exr"))
+    assert isinstance(caught.value, LambentError)
+    assert "--overwrite" in str(caught.value)
