@@ -182,8 +182,10 @@ def _mean_5x5(image: FloatImage) -> FloatImage:
             if to.start >= to.stop:
                 continue
             source = slice(to.start + shift, to.stop + shift)
-            index = (slice(None),) * axis
-            total[(*index, to)] += image[(*index, source)]
+            if axis == 0:
+                total[to] += image[source]
+            else:
+                total[:, to] += image[:, source]
             count[to] += 1
         image = total / (count[:, None, None] if axis == 0 else count[None, :, None])
     return image
@@ -197,7 +199,7 @@ def _scaled(
     variance = variance_of(frame, role)
     if variance is not None and variance.shape[2] == 1:
         variance = np.broadcast_to(variance, image.shape)
-    bad = ~np.isfinite(image).all(axis=2)
+    bad: NDArray[np.bool_] = np.logical_not(np.isfinite(image).all(axis=2))
     if role is Role.DEPTH:
         z = np.abs(image)
         gone = miss[:, :, None]
@@ -207,13 +209,13 @@ def _scaled(
         image = np.where(gone, far, image)
         if variance is not None:
             variance = np.where(gone, 0.0, variance / safe**2)
-        bad &= ~miss
+        bad = bad & ~miss
     elif role is Role.POSITION:
         gone = miss[:, :, None]
-        image = np.where(gone, 0.0, (image - np.float32(scales.centre)) / scales.extent)
+        image = np.where(gone, 0.0, (image - np.array(scales.centre, np.float32)) / scales.extent)
         if variance is not None:
             variance = np.where(gone, 0.0, variance / scales.extent**2)
-        bad &= ~miss
+        bad = bad & ~miss
     clean = np.where(bad[:, :, None], 0.0, image).astype(np.float32)
     if variance is None:
         return clean, None, bad

@@ -18,12 +18,14 @@ How a kernel is written here
    function records again for every new pattern of alignments.
 4. Numbers that change (σ, offsets) go in as ``dr.opaque`` arrays of one entry; a literal would
    compile a new kernel for each value.
+   Take `extremes.greater` and `smaller`, not ``dr.maximum`` and ``dr.minimum`` (why: see there).
 5. Empty pixels carry 0 in the plane ``layout.valid``-mask; every weight is multiplied with it.
    So borders are renormalised weights: nothing is reflected, and a NaN pixel never spreads.
 6. A result of one kernel that the next reads at offsets is wrapped in an `arrays.Plane`; compute it
    ``extend`` rows further than the image where the reader looks up or down.
 7. A public function ends in NumPy, which waits for the engine while its inputs are still alive.
 
-Files: `arrays` (the above), `exponential` (a fast exp), `window` (weighted windows), `nlm` (patch
-distances and their windows), `atrous` (the wavelet), `boxes` (box means).
+Files: `arrays` (the above), `exponential` (a fast exp), `extremes` (greater, smaller), `window`
+(weighted windows), `nlm` (patch distances and their windows), `atrous` (the wavelet), `separable`
+(box and Gaussian means).
 """

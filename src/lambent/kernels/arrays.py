@@ -1,4 +1,6 @@
-"""Images as planes that Dr.Jit kernels read at offsets with plain loads (see the package docstring).
+"""Images as planes that Dr.Jit kernels read at offsets with plain loads.
+
+The package docstring says how kernels use them.
 
 Memory of one plane, ``b`` = border::
 
@@ -141,6 +143,17 @@ class Planes:
 
     def __len__(self) -> int:
         return len(self.planes)
+
+    def refilled(self, values: Sequence[Any]) -> Planes:
+        """These planes with other contents: Dr.Jit arrays of ``layout.size``, one a channel.
+
+        Waits for the values and then uses this object's memory again: do not keep it.
+        """
+        layout = self.layout
+        for plane, value in zip(self.memory, values, strict=True):
+            rows = slice(layout.margin_rows, layout.margin_rows + layout.height)
+            plane[rows] = value.numpy().reshape(layout.height, layout.stride)
+        return Planes(layout, self.memory, self.planes[0].module)
 
     def view(self, channel: int, dx: int = 0, dy: int = 0, extend: int = 0) -> Any:
         """Channel ``channel`` shifted by (dx, dy): see `Plane.view`."""

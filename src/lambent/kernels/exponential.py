@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from lambent.kernels.extremes import greater
+
 #: 2^f on [0, 1), degree 5; relative error 4e-6 after rounding, together with the range reduction.
 _POLYNOMIAL = (
     1.8775767e-3,
@@ -30,8 +32,7 @@ def exp_weight(x: Any) -> Any:
 
     kind = type(x)
     integer = dr.int32_array_t(kind)
-    y = x * _LOG2_E
-    y = dr.select(y > -126.0, y, -126.0)  # LLVM cannot always select fmaximum inside loops
+    y = greater(x * _LOG2_E, -126.0)
     whole = dr.floor(y)
     fraction = y - whole
     power = kind(_POLYNOMIAL[0])

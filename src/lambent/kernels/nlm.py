@@ -35,6 +35,7 @@ from lambent.kernels.arrays import (
     valid_pixels,
 )
 from lambent.kernels.exponential import exp_weight
+from lambent.kernels.extremes import greater, smaller
 from lambent.kernels.window import keep_untouched
 
 #: ``difference(p, q, vp, vq, numbers)``: one value a pixel from the guide and its variance there
@@ -56,7 +57,7 @@ def squared_difference(
     """
     import drjit as dr
 
-    total = None
+    total: Any = None
     for a, b in zip(p, q, strict=True):
         step = a - b
         total = step * step if total is None else dr.fma(step, step, total)
@@ -66,16 +67,16 @@ def squared_difference(
 def variance_difference(
     p: list[Any], q: list[Any], vp: list[Any], vq: list[Any], k: list[Any]
 ) -> Any:
-    """Rousselle et al. 2012, equation 5, mean over channels.
+    """Rousselle et al. 2012, mean over channels.
 
     ((u_p - u_q)² - α (v_p + min(v_p, v_q))) / (ε + k² (v_p + v_q));  k₀ = k², k₁ = α, k₂ = ε.
     """
     import drjit as dr
 
-    total = None
+    total: Any = None
     for a, b, va, vb in zip(p, q, vp, vq, strict=True):
         step = a - b
-        above = dr.fma(step, step, -k[1] * (va + dr.minimum(va, vb)))
+        above = dr.fma(step, step, -k[1] * (va + smaller(va, vb)))
         term = above / dr.fma(k[0], va + vb, k[2])
         total = term if total is None else total + term
     return total * (1.0 / len(p))
@@ -147,7 +148,7 @@ class PatchSearch:
                 yield [(dx, dy) for dx in reach[start : start + _BATCH]]
 
     def row_means(self, offsets: Sequence[tuple[int, int]]) -> list[Plane]:
-        """δ averaged along the rows of the patch, `Plane` with ``extent`` = patch, one an offset."""
+        """δ averaged along the patch's rows: a `Plane` with ``extent`` = patch for each offset."""
         import drjit as dr
 
         reach = self.patch + 1
@@ -167,8 +168,7 @@ class PatchSearch:
         along = _means(
             [[plane.view(t, 0, self.patch) for t in taps] for plane in planes],
             self.columns.view(extend=self.patch),
-            constants((dx for dx, _ in offsets), self.module),
-            constants([self.layout.width - 1, self.patch], self.module),
+            [self._ends(dx, self.layout.width) for dx, _ in offsets],
         )
         dr.eval(along)
         return [Plane(self.layout, self.patch, a, self.module) for a in along]
@@ -178,10 +178,14 @@ class PatchSearch:
         taps = range(-self.patch, self.patch + 1)
         return [[plane.view(0, t) for t in taps] for plane in planes]
 
-    def column_numbers(self, offsets: Sequence[tuple[int, int]]) -> tuple[list[Any], list[Any]]:
-        """The dy of each offset, and [last row, patch], as a kernel reads them."""
-        steps = constants((dy for _, dy in offsets), self.module)
-        return steps, constants([self.layout.height - 1, self.patch], self.module)
+    def column_ends(self, dy: int) -> list[Any]:
+        """What `_mean` along the columns needs to know of an offset."""
+        return self._ends(dy, self.layout.height)
+
+    def _ends(self, step: int, size: int) -> list[Any]:
+        """First and last coordinate with both pixels inside the image, and the patch."""
+        first, last = max(0, -step), min(size - 1, size - 1 - step)
+        return constants([first, last, self.patch], self.module)
 
 
 def patch_distances(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
@@ -195,9 +199,9 @@ def patch_distances(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
 
     for batch in search.batches():
         planes = search.row_means(batch)
-        steps, ends = search.column_numbers(batch)
         rows = search.rows.view()
-        distances = _means(search.column_views(planes), rows, steps, ends)
+        ends = [search.column_ends(dy) for _, dy in batch]
+        distances = _means(search.column_views(planes), rows, ends)
         dr.eval(distances)
         for (dx, dy), distance in zip(batch, distances, strict=True):
             yield dx, dy, distance
@@ -206,12 +210,11 @@ def patch_distances(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
 def nlm_weights(search: PatchSearch) -> Iterator[tuple[int, int, Any]]:
     """(dx, dy, w): exp(-max(0, D)) for each offset, 0 where the neighbour does not take part.
 
-    Rousselle et al. 2012, equation 6. w is an unevaluated ``Float`` of ``layout.size`` entries.
+    Rousselle et al. 2012. w is an unevaluated ``Float`` of ``layout.size`` entries.
     """
-    import drjit as dr
 
     for dx, dy, distance in patch_distances(search):
-        yield dx, dy, exp_weight(-dr.maximum(distance, 0.0)) * search.mask.view(0, dx, dy)
+        yield dx, dy, exp_weight(-greater(distance, 0.0)) * search.mask.view(0, dx, dy)
 
 
 def nlm_mean(
@@ -224,7 +227,7 @@ def nlm_mean(
 
     ``joint``: feature planes ``(H, W, G)`` and a module-level function ``(p, q, numbers)`` of them
     that gives a distance; the greater of the two distances decides, which is the smaller of the
-    two weights (Rousselle et al. 2013, equation 8).
+    two weights (Rousselle et al. 2013).
     Targets that are not finite take no part. Returns float32 ``(H, W, C)``.
     """
     import drjit as dr
@@ -247,12 +250,12 @@ def nlm_mean(
     centre = [] if seen is None else seen.views()
     for batch in search.batches():
         planes = search.row_means(batch)
-        steps, ends = search.column_numbers(batch)
-        for plane, step, (dx, dy) in zip(planes, steps, batch, strict=True):
-            distance = _mean(search.column_views([plane])[0], search.rows.view(), step, ends)
+        for plane, (dx, dy) in zip(planes, batch, strict=True):
+            (views,) = search.column_views([plane])
+            distance = _mean(views, search.rows.view(), search.column_ends(dy))
             if seen is not None and also is not None:
-                distance = dr.maximum(distance, also(centre, seen.views(dx, dy), knobs))
-            w = exp_weight(-dr.maximum(distance, 0.0)) * mask.view(0, dx, dy)
+                distance = greater(distance, also(centre, seen.views(dx, dy), knobs))
+            w = exp_weight(-greater(distance, 0.0)) * mask.view(0, dx, dy)
             for total, values in zip(sums, groups, strict=True):
                 for channel, value in enumerate(values.views(dx, dy)):
                     total[channel] = dr.fma(w, value, total[channel])
@@ -274,22 +277,21 @@ def _coordinates(layout: Layout, extent: int, module: Any) -> tuple[Plane, Plane
     )
 
 
-def _mean(views: list[Any], place: Any, step: Any, ends: list[Any]) -> Any:
+def _mean(views: list[Any], place: Any, ends: list[Any]) -> Any:
     """Sum of the views over the number of pairs inside the image, along one axis.
 
-    ``place``: the coordinate of each entry; ``step``: the offset along this axis; ``ends``: the
-    last coordinate of the image, and the patch's half-size.
+    ``place``: the coordinate of each entry along this axis; ``ends``: from `PatchSearch`.
     """
     import drjit as dr
 
     total = views[0]
     for view in views[1:]:
         total = total + view
-    last, reach = ends
-    high = dr.minimum(place + reach, dr.minimum(last, last - step))
-    low = dr.maximum(place - reach, dr.maximum(0.0, -step))
-    return total * dr.rcp(dr.maximum(high - low + 1.0, 1.0))
+    first, last, reach = ends
+    high = smaller(place + reach, last)
+    low = greater(place - reach, first)
+    return total * dr.rcp(greater(high - low + 1.0, 1.0))
 
 
-def _means(views: list[list[Any]], place: Any, steps: list[Any], ends: list[Any]) -> list[Any]:
-    return [_mean(view, place, step, ends) for view, step in zip(views, steps, strict=True)]
+def _means(views: list[list[Any]], place: Any, ends: list[list[Any]]) -> list[Any]:
+    return [_mean(v, place, e) for v, e in zip(views, ends, strict=True)]

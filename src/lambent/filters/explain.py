@@ -1,0 +1,249 @@
+"""The weights of a denoiser at one pixel: the generic filter made visible.
+
+Every linear denoiser computes ĉ_p = Σ_q w_pq c_q with weights from the frame (the lecture's generic
+denoiser, equation 1 in `lambent.filters.denoiser`). To see the weights of pixel p, the frame stays
+the guide and delta images are filtered as targets: the one that is 1 at q gives w_pq at p. Filters
+with long reach give the row themselves (``weights_at``, exact).
+
+What the numbers say, with independent pixels of equal variance σ²:
+- Σ_q w_pq: 1, or the filter brightens or darkens.
+- Σ_q w_pq²: the variance of the result in σ²; its inverse is the number of pixels that a plain mean
+  of the same variance would have taken.
+- bias_p ≈ Σ_q w_pq (e_q - e_p): what the filter would get wrong without any noise, where e stands
+  for the expectation of the colour: the reference if given, else the denoised image itself. The
+  latter is smooth already where the filter blurs, so that it tells less bias than there is.
+Weights may be negative (first-order regression).
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import OptionError, OutputError
+from lambent.filters.denoiser import DENOISERS, Denoiser, create
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.tonemap import auto_exposure, to_uint8
+
+#: Delta images that are filtered together.
+_CHUNK = 64
+#: Side of each half of the picture, in pixels, at least.
+_PICTURE = 384
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """The weights at a pixel.
+
+    ``weights`` ``(h, w)`` cover the pixels from ``origin`` = (x, y) of the patch's corner;
+    ``pixel`` = (x, y); ``sum`` Σw; ``least``, ``greatest``; ``variance_reduction`` Σw²;
+    ``effective_pixels`` 1/Σw²; ``bias`` ``(3,)`` in radiance, estimated with ``bias_from``
+    ("reference" or "denoised"); ``crop`` ``(h, w, 3)``: the beauty under the weights;
+    ``exposure``: at which the picture shows it.
+    """
+
+    model: str
+    pixel: tuple[int, int]
+    origin: tuple[int, int]
+    weights: FloatImage
+    crop: FloatImage
+    sum: float
+    least: float
+    greatest: float
+    variance_reduction: float
+    effective_pixels: float
+    bias: tuple[float, float, float]
+    bias_from: str
+    exposure: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything but the picture, for JSON; the weights as nested lists."""
+        return {
+            "model": self.model,
+            "pixel": list(self.pixel),
+            "origin": list(self.origin),
+            "sum": self.sum,
+            "least": self.least,
+            "greatest": self.greatest,
+            "variance_reduction": self.variance_reduction,
+            "effective_pixels": self.effective_pixels,
+            "bias": list(self.bias),
+            "bias_from": self.bias_from,
+            "weights": self.weights.tolist(),
+        }
+
+    def picture(self) -> NDArray[np.uint8]:
+        """``(h, w, 3)``: the weights as a heat map beside the beauty, the pixel marked in both.
+
+        Brightness goes with the square root of |w| (small weights stay visible): black, red,
+        yellow, white for positive ones; blue for negative ones.
+        """
+        zoom = max(1, _PICTURE // max(self.weights.shape))
+        x, y = self.pixel[0] - self.origin[0], self.pixel[1] - self.origin[1]
+        pictures = []
+        for image in (heat(self.weights), to_uint8(self.crop, self.exposure)):
+            large = np.repeat(np.repeat(image, zoom, axis=0), zoom, axis=1)
+            pictures.append(_marked(large, x, y, zoom))
+        gap = np.full((pictures[0].shape[0], 8, 3), 128, np.uint8)
+        return np.concatenate([pictures[0], gap, pictures[1]], axis=1)
+
+    def png(self) -> bytes:
+        """The picture as the bytes of a PNG."""
+        from PIL import Image
+
+        buffer = io.BytesIO()
+        Image.fromarray(self.picture()).save(buffer, "PNG")
+        return buffer.getvalue()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the picture as a PNG. Raises `OutputError`."""
+        path = Path(path)
+        try:
+            path.write_bytes(self.png())
+        except OSError as error:
+            raise OutputError(
+                f"the picture cannot be written: {error.strerror}",
+                file=path,
+                remedy="choose another place with -o",
+            ) from error
+        return path
+
+    def _repr_png_(self) -> bytes:
+        """For Jupyter."""
+        return self.png()
+
+
+def explain(
+    frame: Frame,
+    model: str | Denoiser,
+    x: int,
+    y: int,
+    *,
+    reference: NDArray[Any] | None = None,
+    **params: Any,
+) -> Explanation:
+    """The weights that a linear denoiser gives the pixels around (x, y).
+
+    ``model``: a name (with ``params``) or a denoiser. ``reference`` ``(H, W, 3)``: the converged
+    image, if there is one, for the bias. Raises `OptionError` for a pixel outside the frame, or a
+    model whose result is no weighted mean (OIDN), `LayerError` where the frame lacks a layer.
+    """
+    denoiser = create(model, **params) if isinstance(model, str) else model
+    name = denoiser.about.name
+    if not denoiser.about.linear:
+        linear = [n for n in DENOISERS if not n.startswith("oidn")]
+        raise OptionError(
+            f"the result of '{name}' is no weighted mean of pixels: it has no weights to show",
+            remedy=f"take one of {', '.join(linear)}",
+        )
+    if not (0 <= x < frame.width and 0 <= y < frame.height):
+        raise OptionError(
+            f"pixel {x},{y} lies outside the frame",
+            file=frame.path,
+            remedy=f"the frame is {frame.width}x{frame.height}; pixels count from 0,0 (top left)",
+        )
+    denoiser.check(frame)
+    fitted = denoiser.fitted(frame)
+    margin = fitted.margin()
+    weights, left, top = _weights(frame, fitted, x, y, margin)
+    height, width = weights.shape
+    inside = (slice(top, top + height), slice(left, left + width))
+    crop = np.asarray(frame.colour[inside])
+    if reference is not None:
+        expected = np.asarray(reference, np.float32)[inside][:, :, :3]
+    else:
+        expected = _denoised(frame, fitted, left, top, width, height, margin)
+    apart = expected - expected[y - top, x - left]
+    sound = np.isfinite(apart).all(axis=2)
+    exact = weights.astype(np.float64)
+    bias = (exact[:, :, None] * np.where(sound[:, :, None], apart, 0)).sum(axis=(0, 1))
+    energy = float((exact**2).sum())
+    return Explanation(
+        model=name,
+        pixel=(x, y),
+        origin=(left, top),
+        weights=weights,
+        crop=crop,
+        sum=float(exact.sum()),
+        least=float(exact.min()),
+        greatest=float(exact.max()),
+        variance_reduction=energy,
+        effective_pixels=1.0 / energy if energy > 0 else float("inf"),
+        bias=(float(bias[0]), float(bias[1]), float(bias[2])),
+        bias_from="reference" if reference is not None else "denoised",
+        exposure=auto_exposure(frame.colour),
+    )
+
+
+def heat(weights: NDArray[Any]) -> NDArray[np.uint8]:
+    """Weights ``(h, w)`` as colours ``(h, w, 3)``: see `Explanation.picture`."""
+    most = float(np.abs(weights).max()) or 1.0
+    t = np.sqrt(np.abs(weights) / most)
+    red, green, blue = np.clip(3 * t, 0, 1), np.clip(3 * t - 1, 0, 1), np.clip(3 * t - 2, 0, 1)
+    positive = np.stack([red, green, blue], axis=2)
+    negative = np.stack([green, green, np.clip(0.3 + t, 0, 1) * (t > 0)], axis=2)
+    chosen = np.where((weights >= 0)[:, :, None], positive, negative)
+    return (chosen * 255 + 0.5).astype(np.uint8)
+
+
+# ------------------------------------------------------------------ private
+
+
+def _box(frame: Frame, x0: int, y0: int, x1: int, y1: int, margin: int) -> tuple[int, ...]:
+    """Left, top, right, bottom of a box grown by a margin and cut at the frame."""
+    return (
+        max(0, x0 - margin),
+        max(0, y0 - margin),
+        min(frame.width, x1 + margin),
+        min(frame.height, y1 + margin),
+    )
+
+
+def _weights(
+    frame: Frame, denoiser: Denoiser, x: int, y: int, margin: int
+) -> tuple[FloatImage, int, int]:
+    """The weights, and the left and top of the part of the frame that they cover.
+
+    All that the result at p depends on lies within the margin, so a crop of that radius has the
+    same weights at p (weights at *other* pixels of the crop may differ; nobody looks at those).
+    """
+    own = getattr(denoiser, "weights_at", None)
+    left, top, right, bottom = _box(frame, x, y, x + 1, y + 1, margin)
+    part = frame.crop(top, bottom, left, right)
+    if own is not None:
+        return np.asarray(own(part, x - left, y - top), np.float32), left, top
+    height, width = part.height, part.width
+    row = np.zeros(height * width, np.float32)
+    for first in range(0, height * width, _CHUNK):
+        count = min(_CHUNK, height * width - first)
+        deltas = np.zeros((height * width, count), np.float32)
+        deltas[np.arange(first, first + count), np.arange(count)] = 1.0
+        filtered = denoiser.filter(part, deltas.reshape(height, width, count))
+        row[first : first + count] = filtered[y - top, x - left]
+    return row.reshape(height, width), left, top
+
+
+def _denoised(
+    frame: Frame, denoiser: Denoiser, left: int, top: int, width: int, height: int, margin: int
+) -> FloatImage:
+    """The denoised beauty under the weights."""
+    x0, y0, x1, y1 = _box(frame, left, top, left + width, top + height, margin)
+    part = frame.crop(y0, y1, x0, x1)
+    result = denoiser.filter(part, part.colour)
+    return result[top - y0 : top - y0 + height, left - x0 : left - x0 + width, :3]
+
+
+def _marked(image: NDArray[np.uint8], x: int, y: int, zoom: int) -> NDArray[np.uint8]:
+    """The image with a frame around the pixel (x, y) of ``zoom`` screen pixels."""
+    image = image.copy()
+    y0, y1, x0, x1 = y * zoom, (y + 1) * zoom - 1, x * zoom, (x + 1) * zoom - 1
+    green = (0, 255, 128)
+    image[y0, x0 : x1 + 1] = image[y1, x0 : x1 + 1] = green
+    image[y0 : y1 + 1, x0] = image[y0 : y1 + 1, x1] = green
+    return image
