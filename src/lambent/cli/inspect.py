@@ -112,6 +112,8 @@ def _print_layers(layers: tuple[LayerReport, ...], parts: bool, views: bool, wid
     if not layers:
         print("\nNo layers.")
         return
+    ids = [layer.name for layer in layers if layer.role.value == "id"]
+    layers = tuple(layer for layer in layers if layer.role.value != "id")
     roles = [
         _role(layer) + (f" ({layer.view})" if views and layer.view else "") for layer in layers
     ]

@@ -380,7 +380,7 @@ def _remap(frame: Frame, roles: Mapping[str, str], albedo: Any, normal: Any) -> 
 
 
 def _any_light(layers: list[Layer]) -> bool:
-    return any(layer.data.any() for layer in layers)
+    return any(layer.data.any() for layer in layers if layer.role is not Role.ALPHA)
 
 
 def _finish(
