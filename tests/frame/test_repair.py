@@ -105,6 +105,21 @@ def test_negative_lobes_are_kept_and_told() -> None:
     assert "3 slightly negative" in result.notes[0]
 
 
+def test_rounding_below_zero_is_no_damage() -> None:
+    """Cycles' nearly black passes hold -1e-7; beside the beauty that is nothing."""
+    nearly = np.full((12, 16, 3), 6e-8, np.float32)
+    nearly[3, 3] = -1.8e-7
+    layers = [Layer(Role.COLOUR, picture()), Layer(Role.LIGHTING, nearly, name="glass")]
+    frame = Frame.from_layers(layers)
+    result, repairs = repair(frame)
+    assert not repairs
+    assert repairs.layers[0].kept_negative == 3
+    assert result.extras["glass"] is frame.extras["glass"]
+    alone, damaged = repair(Frame.from_layers(layers[1:]))
+    assert damaged.total == 3  # without a beauty the layer is its own measure
+    assert alone.extras["glass"].data.min() > 0
+
+
 def test_a_bright_area_is_a_light() -> None:
     """A sun that overflows a half is kept; a single overflowing pixel is damage."""
     colour = picture(size=(20, 20))

@@ -3,10 +3,10 @@
 What counts as damage depends on what the layer means:
 
 =================== ============================================================================
-light, its halves   NaN; infinities; negative beyond a thousandth of the layer's median (less is
-                    what pixel filters with negative lobes make: kept and counted); huge: above
-                    1e8 or exactly 65504, the largest half, alone or as a pair (an area of such
-                    values is a light: kept and counted)
+light, its halves   NaN; infinities; negative beyond a thousandth of the median of the layer or the
+                    beauty (less is rounding, or what pixel filters with negative lobes make: kept
+                    and counted); huge: above 1e8 or exactly 65504, the largest half, alone or as a
+                    pair (an area of such values is a light: kept and counted)
 variances           NaN, infinities, negative
 albedo, roughness,  NaN, infinities, negative beyond 0.001
 alpha
@@ -24,7 +24,7 @@ all values lie in [0, 1] and the decoded vectors, unlike the raw ones, have leng
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -40,7 +40,7 @@ Mask = NDArray[np.bool_]
 #: Light above this, or exactly the largest half, is no light.
 HUGE = 1e8
 HALF_MAX = 65504.0
-#: Negative light down to this fraction of the layer's median is kept.
+#: Negative light down to this fraction of the median is kept.
 NEGATIVE_SHARE = 1e-3
 #: Neighbours are gathered for so many values at a time, which bounds the memory.
 CHUNK = 1 << 17
@@ -139,13 +139,14 @@ def repair(frame: Frame, layers: Iterable[str] | None = None) -> tuple[Frame, Re
     Nothing raises: a layer that is all NaN becomes 0, which the counts tell.
     """
     only = None if layers is None else set(layers)
+    beauty = _Median(frame)
     found: list[LayerRepairs] = []
     notes: list[str] = []
     result = frame
     for layer in list(frame.all_layers()):
         if layer.role in (Role.ID, Role.OTHER) or (only is not None and layer.name not in only):
             continue
-        pixels, counts = repaired(layer)
+        pixels, counts = repaired(layer, beauty)
         if layer.role is Role.NORMAL and layer.stat is not Stat.VARIANCE:
             decoded = decoded_normals(layer.data if pixels is None else pixels)
             if decoded is not None:
@@ -161,8 +162,13 @@ def repair(frame: Frame, layers: Iterable[str] | None = None) -> tuple[Frame, Re
     return result.noted(*notes), Repairs(tuple(found))
 
 
-def repaired(layer: Layer) -> tuple[FloatImage | None, LayerRepairs | None]:
-    """New pixels ``(H, W, C)`` of a layer (None: as they were) and counts (None: nothing found)."""
+def repaired(
+    layer: Layer, beauty: Callable[[], float] = float
+) -> tuple[FloatImage | None, LayerRepairs | None]:
+    """New pixels ``(H, W, C)`` of a layer (None: as they were) and counts (None: nothing found).
+
+    ``beauty`` gives the median of the beauty; asked only where light is negative.
+    """
     image = layer.data
     if image.size == 0:
         return None, None
@@ -176,7 +182,7 @@ def repaired(layer: Layer) -> tuple[FloatImage | None, LayerRepairs | None]:
     counts: dict[str, Any] = {}
     bad = _broken(layer, image, counts)
     if light and not low >= 0:
-        floor = _floor(layer, light, image)
+        floor = -NEGATIVE_SHARE * max(_median(image), beauty())
     if floor > -np.inf:
         with np.errstate(invalid="ignore"):
             below = image < 0 if light else image < floor
@@ -252,20 +258,33 @@ def decoded_normals(image: FloatImage) -> FloatImage | None:
 # ------------------------------------------------------------------------------------------- parts
 
 
-def _floor(layer: Layer, light: bool, image: FloatImage | None = None) -> float:
+class _Median:
+    """The median of a frame's beauty, measured when first asked for."""
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame, self.value = frame, -1.0
+
+    def __call__(self) -> float:
+        if self.value < 0:
+            colour = self.frame.get(Role.COLOUR)
+            self.value = 0.0 if colour is None else _median(colour)
+        return self.value
+
+
+def _median(image: FloatImage) -> float:
+    """Median of the positive finite values, which no single value moves; 0 if there is none."""
+    with np.errstate(invalid="ignore"):
+        positive = image[(image > 0) & (image < np.inf)]
+    return float(np.median(positive)) if positive.size else 0.0
+
+
+def _floor(layer: Layer, light: bool) -> float:
     """Values below this are damage; -inf where a role has no such bound.
 
-    For light it follows from the layer's median of positive values, which no single value moves;
-    without ``image`` it is 0, so that a layer without negative values is not measured.
+    For light a first answer: a layer without negative values need not be measured.
     """
-    if layer.stat is Stat.VARIANCE:
+    if light or layer.stat is Stat.VARIANCE:
         return 0.0
-    if light:
-        if image is None:
-            return 0.0
-        with np.errstate(invalid="ignore"):
-            positive = image[(image > 0) & (image < np.inf)]
-        return -NEGATIVE_SHARE * float(np.median(positive)) if positive.size else 0.0
     if layer.role is Role.DEPTH or INFO[layer.role].low is None:
         return -np.inf  # a camera that looks along -z has negative depths
     return -NEGATIVE_SHARE
