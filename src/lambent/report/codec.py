@@ -170,12 +170,12 @@ def _inverse(flat: FloatArray, width: int, height: int, steps: tuple[float, ...]
 
 
 def _split(image: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Low and high half along an axis; the border repeats its last sample."""
+    """Low and high half along an axis. Beyond the border a picture goes on as it ended."""
     x = np.moveaxis(image, axis, 0)
     even, odd = x[0::2].copy(), x[1::2].copy()
     n, m = len(even), len(odd)
     if m:
-        odd -= (even[:m] + even[np.minimum(np.arange(1, m + 1), n - 1)]) / 2
+        odd -= (even[:m] + _next(even)[:m]) / 2
         i = np.arange(n)
         even += (odd[np.maximum(i - 1, 0)] + odd[np.minimum(i, m - 1)]) / 4
     return np.moveaxis(even, 0, axis), np.moveaxis(odd, 0, axis)
@@ -188,7 +188,13 @@ def _join(low: FloatArray, high: FloatArray, axis: int) -> FloatArray:
     if m:
         i = np.arange(n)
         even -= (odd[np.maximum(i - 1, 0)] + odd[np.minimum(i, m - 1)]) / 4
-        odd += (even[:m] + even[np.minimum(np.arange(1, m + 1), n - 1)]) / 2
+        odd += (even[:m] + _next(even)[:m]) / 2
     x = np.empty((n + m, *even.shape[1:]), np.float32)
     x[0::2], x[1::2] = even, odd
     return np.moveaxis(x, 0, axis)
+
+
+def _next(even: FloatArray) -> FloatArray:
+    """The even samples one further on; the one behind the border lies on a straight line."""
+    last = 2 * even[-1:] - even[-2:-1] if len(even) > 1 else even
+    return np.concatenate([even[1:], last])

@@ -5,21 +5,30 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.metrics.compare import number
 from lambent.report.page import build, escape, picture, save, table
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 #: Longer side of a thumbnail made here, in pixels (shown at half, for fine screens).
 THUMBNAIL = 264
 
+#: What a reader wants first: what is odd, then the layers, then the parts.
+ORDER = ("suspicion", "warning", "note", "layer", "sum", "part")
+
+Record = Mapping[str, Any]
+
 
 def write_inspection(
     path: str | os.PathLike[str],
-    inspection: Mapping[str, Any],
+    inspection: Record,
     thumbnails: Mapping[str, Any] | None = None,
     *,
     title: str | None = None,
@@ -36,54 +45,113 @@ def write_inspection(
 
 
 def inspection_page(
-    inspection: Mapping[str, Any],
+    inspection: Record,
     thumbnails: Mapping[str, Any] | None = None,
     title: str | None = None,
 ) -> str:
     """The text of the page; arguments as in `write_inspection`."""
     images = {name: _thumbnail(name, thing) for name, thing in (thumbnails or {}).items()}
     facts: list[tuple[str, str]] = []
-    sections: list[tuple[int, str]] = []
+    sections: list[tuple[int, str, str]] = []
     used: set[str] = set()
-    for key, value in inspection.items():
+    for key, value in _tidy(inspection).items():
         if _is_records(value):
             inner, names = _records(key, list(value), images)
             used |= names
-            sections.append((_rank(key), f"<section><h2>{_words(key)}</h2>{inner}</section>"))
+            sections.append((_rank(key), _words(key), inner))
         elif isinstance(value, Mapping) and value:
             rows = [[escape(k), f'<td class="text">{_text(v)}</td>'] for k, v in value.items()]
             inner = table(["Name", "Value"], rows, caption=_words(key), kind="plain")
-            sections.append((_rank(key), f"<section><h2>{_words(key)}</h2>{inner}</section>"))
-        elif isinstance(value, (list, tuple)) and value:
+            sections.append((_rank(key), _words(key), inner))
+        elif isinstance(value, (list, tuple)) and value and _rank(key) < len(ORDER):
             items = "".join(f"<li>{_text(v)}</li>" for v in value)
-            sections.append(
-                (
-                    _rank(key),
-                    f'<section><h2>{_words(key)}</h2><ul class="notes">{items}</ul></section>',
-                )
-            )
-        elif value not in (None, "", [], (), {}):
+            sections.append((_rank(key), _words(key), f'<ul class="notes">{items}</ul>'))
+        elif not _empty(value):
             facts.append((_words(key), _text(value)))
     left = [name for name in images if name not in used]
     if left:
         rows = [[escape(n), f'<td class="thumb">{images[n]}</td>'] for n in left]
         inner = table(["Layer", "Picture"], rows, caption="Pictures", kind="plain")
-        sections.append((5, f"<section><h2>Pictures</h2>{inner}</section>"))
+        sections.append((len(ORDER), "Pictures", inner))
     terms = "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in facts)
-    head = f"<section><dl>{terms}</dl></section>" if terms else ""
-    sections.sort(key=lambda s: s[0])
-    source = str(inspection.get("path") or inspection.get("file") or "")
+    body = f'<section><dl class="facts">{terms}</dl></section>' if terms else ""
+    for _, heading, inner in sorted(sections, key=lambda s: s[0]):
+        body += f"<section><h2>{heading}</h2>{inner}</section>"
+    source = str(inspection.get("path") or "")
     name = title or (f"Inspection of {os.path.basename(source)}" if source else "Inspection")
-    return build(name, head + "".join(s for _, s in sections), subtitle=escape(source))
+    return build(name, body, subtitle=escape(source))
 
 
-# ------------------------------------------------------------------ private
+# ------------------------------------------------------- in a reader's words
+
+
+def _tidy(inspection: Record) -> dict[str, Any]:
+    """The same facts, grouped as a person reads them. Keys that are not known stay as they are."""
+    facts = {k: v for k, v in inspection.items() if k != "path"}
+    if isinstance(facts.get("size"), int):
+        facts["size"] = f"{facts['size'] / 1e6:.2f} MB"
+    if {"width", "height"} <= facts.keys():
+        picture_size = f"{facts.pop('width')} × {facts.pop('height')} pixels"
+        facts = {"picture": picture_size, **facts}
+    if facts.get("dialect") and facts.get("dialect_why"):
+        facts["dialect"] = f"{facts['dialect']} ({facts.pop('dialect_why')})"
+    if _is_records(facts.get("layers")):
+        facts["layers"] = [_layer(r) for r in facts["layers"]]
+    if _is_records(facts.get("parts")):
+        facts["parts"] = [_part(r) for r in facts["parts"]]
+    return facts
+
+
+def _layer(record: Record) -> dict[str, Any]:
+    r = dict(record)
+    tidy: dict[str, Any] = {"name": r.pop("name", "")}
+    stat = r.pop("stat", "mean")
+    role = r.pop("role", None)
+    if role is not None:
+        tidy["role"] = role if stat in ("mean", None, "") else f"{role}, {stat}"
+    space = r.pop("space", None)
+    tidy["space"] = None if space in ("none", None) else space
+    tidy["why"] = r.pop("why", None)
+    tidy["view"] = r.pop("view", None)
+    tidy["part"] = r.pop("part", None)
+    channels = r.pop("channels", None)
+    if isinstance(channels, (list, tuple)):
+        tidy["channels"] = "  ".join(str(c).rsplit(".", 1)[-1] for c in channels)
+    if {"width", "height"} <= r.keys():
+        tidy["size"] = f"{r.pop('width')} × {r.pop('height')}"
+    return {**tidy, **r}
+
+
+def _part(record: Record) -> dict[str, Any]:
+    r = dict(record)
+    channels = r.pop("channels", None)
+    for key in ("data_window", "display_window"):
+        window = r.get(key)
+        if isinstance(window, (list, tuple)) and len(window) == 4:
+            r[key] = f"{window[0]}, {window[1]} to {window[2]}, {window[3]}"
+    if _is_records(channels):
+        named = []
+        for c in channels:
+            x, y = c.get("x_sampling", 1), c.get("y_sampling", 1)
+            sampling = "" if (x, y) == (1, 1) else f" (every {x} × {y})"
+            named.append((f"{c.get('type', '')}{sampling}", str(c.get("name", ""))))
+        r["channels"] = {k: "  ".join(n for _, n in g) for k, g in groupby(named, lambda c: c[0])}
+    elif channels is not None:
+        r["channels"] = channels
+    return r
 
 
 def _rank(key: str) -> int:
-    """What a reader wants first: what is odd, then the layers, then the parts."""
-    order = ("suspicion", "warning", "note", "layer", "role", "part", "channel")
-    return next((i for i, word in enumerate(order) if word in key.lower()), len(order))
+    return next((i for i, word in enumerate(ORDER) if word in key.lower()), len(ORDER))
+
+
+def _words(key: object) -> str:
+    text = str(key).replace("_", " ")
+    special = {"spp": "spp", "nan": "NaN", "why": "Found by", "low": "Lowest", "high": "Highest"}
+    return escape(special.get(text) or text[:1].upper() + text[1:])
+
+
+# ------------------------------------------------------------------- markup
 
 
 def _is_records(value: Any) -> bool:
@@ -94,55 +162,58 @@ def _is_records(value: Any) -> bool:
     )
 
 
-def _records(
-    key: str, records: list[Mapping[str, Any]], images: Mapping[str, str]
-) -> tuple[str, set[str]]:
+def _empty(value: Any) -> bool:
+    return value is None or (isinstance(value, (str, list, tuple, Mapping)) and not value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _records(key: str, records: list[Record], images: Mapping[str, str]) -> tuple[str, set[str]]:
     """A table of records, and the names whose thumbnails it shows."""
     columns = [
         c
         for c in dict.fromkeys(c for r in records for c in r)
-        if any(r.get(c) not in (None, "", [], (), {}) for r in records)
+        if any(not _empty(r.get(c)) for r in records)
     ]
     columns.sort(key=lambda c: c != "name")  # the name heads the row; else order is kept
-    shown = {str(r["name"]) for r in records if str(r.get("name")) in images}
+    shown = {str(r["name"]) for r in records if "name" in r and str(r["name"]) in images}
     with_pictures = bool(shown) and "part" not in key.lower()
+    numeric = {c for c in columns[1:] if any(_is_number(r.get(c)) for r in records)}
     rows = []
     for record in records:
-        cells = [_text(record.get(columns[0], ""))] if columns else [""]
+        cells = [_text(record.get(columns[0])) if columns else ""]
         if with_pictures:
             cells.append(f'<td class="thumb">{images.get(str(record.get("name")), "")}</td>')
         for column in columns[1:]:
             value = record.get(column)
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            kind = "number" if number else "text"
+            kind = "number" if column in numeric else "text"
+            if column in ("nan", "infinite", "negative") and value:
+                kind += " warn"
             cells.append(f'<td class="{kind}">{_text(value)}</td>')
         rows.append(cells)
-    headings = [_words(c) for c in columns]
+    headings = [
+        f'<span class="right">{_words(c)}</span>' if c in numeric else _words(c) for c in columns
+    ]
     if with_pictures:
         headings.insert(1, '<span class="hidden">Picture</span>')
     inner = table(headings, rows, caption=_words(key), kind="plain")
     return inner, shown if with_pictures else set()
 
 
-def _words(key: object) -> str:
-    text = str(key).replace("_", " ")
-    return escape(text[:1].upper() + text[1:])
-
-
 def _text(value: Any) -> str:
     """A value as markup."""
-    if value is None or value == "":
+    if _empty(value):
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
-        return escape(f"{float(value):.6g}")
+        return number(float(value))
     if isinstance(value, Mapping):
-        pairs = (f"{escape(k)}: {_text(v)}" for k, v in value.items())
-        return "<br>".join(pairs) or "–"
+        return "<br>".join(f"<i>{escape(k)}</i> {_text(v)}" for k, v in value.items())
     if isinstance(value, (list, tuple)):
-        plain = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
-        return ("  " if plain else ", ").join(_text(v) for v in value) or "–"
+        return (", " if not all(map(_is_number, value)) else "  ").join(_text(v) for v in value)
     return escape(value)
 
 
@@ -151,8 +222,8 @@ def _thumbnail(name: str, thing: Any) -> str:
 
     if isinstance(thing, (bytes, bytearray)):
         with Image.open(io.BytesIO(bytes(thing))) as image:
-            width, height = image.size
-        return picture(bytes(thing), f"Layer {name}", width, height)
+            size = image.size
+        return picture(bytes(thing), f"Layer {name}", *size)
     array = np.asarray(thing, np.float32)
     if array.ndim == 2:
         array = array[:, :, None]
@@ -160,7 +231,7 @@ def _thumbnail(name: str, thing: Any) -> str:
         array = np.repeat(array[:, :, :1], 3, axis=2)
     step = max(1, -(-max(array.shape[:2]) // THUMBNAIL))
     small = array[::step, ::step]
-    image = Image.fromarray(to_uint8(small, auto_exposure(small)))
+    shown = Image.fromarray(to_uint8(small, auto_exposure(small)))
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", optimize=True)
-    return picture(buffer.getvalue(), f"Layer {name}", *image.size)
+    shown.save(buffer, "PNG", optimize=True)
+    return picture(buffer.getvalue(), f"Layer {name}", *shown.size)

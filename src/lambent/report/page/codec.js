@@ -22,9 +22,11 @@ function joinRows(low, high, n, m, width) {
     for (let x = 0; x < width; x++) out[to + x] = low[from + x] - (high[a + x] + high[b + x]) / 4;
   }
   for (let i = 0; i < m; i++) {
-    const a = 2 * i * width, b = 2 * Math.min(i + 1, n - 1) * width;
+    const a = 2 * i * width, b = a + (i + 1 < n ? 2 : n > 1 ? -2 : 0) * width;
     const to = (2 * i + 1) * width, from = i * width;
-    for (let x = 0; x < width; x++) out[to + x] = high[from + x] + (out[a + x] + out[b + x]) / 2;
+    // Behind the border the picture goes on in a straight line.
+    const p = i + 1 < n ? 0.5 : 1.5, q = i + 1 < n ? 0.5 : -0.5;
+    for (let x = 0; x < width; x++) out[to + x] = high[from + x] + p * out[a + x] + q * out[b + x];
   }
   return out;
 }
@@ -39,8 +41,9 @@ function joinColumns(low, high, n, m, height) {
       out[o + 2 * i] = low[l + i] - (high[h + Math.max(i - 1, 0)] + high[h + Math.min(i, m - 1)]) / 4;
     }
     for (let i = 0; i < m; i++) {
-      const next = 2 * Math.min(i + 1, n - 1);
-      out[o + 2 * i + 1] = high[h + i] + (out[o + 2 * i] + out[o + next]) / 2;
+      const at = o + 2 * i;
+      out[at + 1] = high[h + i] + (i + 1 < n ? (out[at] + out[at + 2]) / 2
+        : n > 1 ? 1.5 * out[at] - 0.5 * out[at - 2] : out[at]);
     }
   }
   return out;

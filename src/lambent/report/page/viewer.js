@@ -95,8 +95,8 @@
 
   function zoomTo(scale, anchor) {
     const before = scaleNow(), [cx, cy] = centreNow(), fitted = fitScale();
-    scale = Math.min(64, Math.max(Math.min(fitted, 1) / 2, scale));
-    if (scale <= fitted && scale < before) { state.fit = true; return draw(); }
+    if (fitted <= 1 && scale <= fitted) { state.fit = true; return draw(); }
+    scale = Math.min(64, Math.max(Math.min(fitted, 1), scale));
     if (Math.abs(scale - 1) < 0.04) scale = 1;
     const [ax, ay] = anchor ?? [cx, cy];
     state.fit = false;
