@@ -32,7 +32,7 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.tonemap import auto_exposure, to_uint8
 
 #: Delta images that are filtered together.
-_CHUNK = 64
+_CHUNK = 512
 #: Side of each half of the picture, in pixels, at least.
 _PICTURE = 384
 

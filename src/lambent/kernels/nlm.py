@@ -31,12 +31,11 @@ from lambent.kernels.arrays import (
     Planes,
     backend,
     constants,
-    to_image,
     valid_pixels,
 )
 from lambent.kernels.exponential import exp_weight
 from lambent.kernels.extremes import greater, smaller
-from lambent.kernels.window import keep_untouched
+from lambent.kernels.window import WeightedSums
 
 #: ``difference(p, q, vp, vq, numbers)``: one value a pixel from the guide and its variance there
 #: and at the neighbour (lists of ``Float``; the variances are [] where the guide has none).
@@ -44,8 +43,6 @@ Difference = Callable[[list[Any], list[Any], list[Any], list[Any], list[Any]], A
 
 #: Offsets that go through one launch of each kernel.
 _BATCH = 11
-#: Target channels in one kernel.
-_CHANNELS = 8
 
 
 def squared_difference(
@@ -230,8 +227,6 @@ def nlm_mean(
     two weights (Rousselle et al. 2013).
     Targets that are not finite take no part. Returns float32 ``(H, W, C)``.
     """
-    import drjit as dr
-
     layout, module = search.layout, search.module
     seen = None if joint is None else Planes.of(joint[0], layout, module)
     also = None if joint is None else joint[1]
@@ -240,29 +235,19 @@ def nlm_mean(
     if not sound.all():
         inside = slice(layout.margin_rows, layout.margin_rows + layout.height)
         mask = Planes.of(mask.memory[0, inside, : layout.width] * sound, layout, module)
-    groups = [
-        Planes.of(targets[:, :, first : first + _CHANNELS], layout, module)
-        for first in range(0, targets.shape[2], _CHANNELS)
-    ]
-    sums = [[dr.zeros(module.Float, layout.size) for _ in range(len(g) + 1)] for g in groups]
-    dr.eval(sums)
     knobs = constants(numbers, module)
     centre = [] if seen is None else seen.views()
+    sums = WeightedSums(targets, layout, module)
     for batch in search.batches():
-        planes = search.row_means(batch)
-        for plane, (dx, dy) in zip(planes, batch, strict=True):
+        weights = []
+        for plane, (dx, dy) in zip(search.row_means(batch), batch, strict=True):
             (views,) = search.column_views([plane])
             distance = _mean(views, search.rows.view(), search.column_ends(dy))
             if seen is not None and also is not None:
                 distance = greater(distance, also(centre, seen.views(dx, dy), knobs))
-            w = exp_weight(-greater(distance, 0.0)) * mask.view(0, dx, dy)
-            for total, values in zip(sums, groups, strict=True):
-                for channel, value in enumerate(values.views(dx, dy)):
-                    total[channel] = dr.fma(w, value, total[channel])
-                total[-1] += w
-        dr.eval(sums)
-    parts = [to_image([value / s[-1] for value in s[:-1]], layout) for s in sums]
-    return keep_untouched(np.concatenate(parts, axis=2), targets)
+            weights.append((dx, dy, exp_weight(-greater(distance, 0.0)) * mask.view(0, dx, dy)))
+        sums.add(weights)
+    return sums.mean()
 
 
 # ------------------------------------------------------------------ private

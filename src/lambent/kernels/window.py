@@ -48,26 +48,75 @@ def weighted_window(
 
     ``guide`` ``(H, W, G)`` is what ``weight`` sees (None: nothing). ``spatial``
     ``(2r+1, 2r+1)``, indexed [dy + r, dx + r], is handed to ``weight`` as its last argument
-    (None: zeros). ``weight`` must be a module-level function: its compiled kernel is kept by it.
+    (None: zeros). ``weight`` must do the same each time: its compiled kernel is
+    found again by what it computes.
 
     Only pixels inside the image where guide and targets are finite take part; the weights are
     renormalised over those. A pixel without any weight keeps its value. Returns float32 (H, W, C).
     """
-    height, width, channels = targets.shape
+    height, width, _ = targets.shape
     module = backend(device)
     layout = Layout(height, width, radius)
     mask = Planes.of(valid_pixels(guide, targets), layout, module)
     seen = Planes.of(guide, layout, module) if guide is not None else None
     if spatial is None:
         spatial = np.zeros((2 * radius + 1, 2 * radius + 1))
-    result = np.empty((height, width, channels), np.float32)
-    for first in range(0, channels, _CHANNELS):
-        part = targets[:, :, first : first + _CHANNELS]
-        planes = Planes.of(part, layout, module)
-        result[:, :, first : first + _CHANNELS] = _window(
-            planes, seen, mask, layout, weight, numbers, spatial, module
-        )
-    return keep_untouched(result, targets)
+    centre = seen.views() if seen is not None else []
+    knobs = constants(numbers, module)
+    sums = WeightedSums(targets, layout, module)
+    side = 2 * radius + 1
+    for dy in range(-radius, radius + 1):
+        for start in range(0, side, _TAPS):
+            row = []
+            for dx in range(start - radius, min(start + _TAPS, side) - radius):
+                near = seen.views(dx, dy) if seen is not None else []
+                (factor,) = constants([spatial[dy + radius, dx + radius]], module)
+                row.append((dx, dy, weight(centre, near, knobs, factor) * mask.view(0, dx, dy)))
+            sums.add(row)
+    return sums.mean()
+
+
+class WeightedSums:
+    """Σ_q w_pq c_q and Σ_q w_pq, fed with the weights of a few offsets at a time.
+
+    ``targets`` ``(H, W, C)``; ``layout`` with a border of at least the greatest offset.
+    Few channels are summed in the kernel that computes the weights. With many the weights are
+    stored, and every group of channels reads them.
+    """
+
+    def __init__(self, targets: NDArray[Any], layout: Layout, module: Any) -> None:
+        import drjit as dr
+
+        self._targets = targets
+        self._layout = layout
+        self._groups = [
+            Planes.of(targets[:, :, first : first + _CHANNELS], layout, module)
+            for first in range(0, targets.shape[2], _CHANNELS)
+        ]
+        self._sums = [
+            [dr.zeros(module.Float, layout.size) for _ in range(len(g))] for g in self._groups
+        ]
+        self._total = dr.zeros(module.Float, layout.size)
+        dr.eval(self._sums, self._total)
+
+    def add(self, weights: Sequence[tuple[int, int, Any]]) -> None:
+        """Add (dx, dy, w): the weights w of the neighbours at (dx, dy), 0 where there is none."""
+        import drjit as dr
+
+        if len(self._groups) > 1:
+            dr.eval([w for _, _, w in weights])
+        for _, _, w in weights:
+            self._total += w
+        for planes, sums in zip(self._groups, self._sums, strict=True):
+            for dx, dy, w in weights:
+                for channel, value in enumerate(planes.views(dx, dy)):
+                    sums[channel] = dr.fma(w, value, sums[channel])
+            dr.eval(sums, self._total)
+
+    def mean(self) -> FloatImage:
+        """The weighted mean ``(H, W, C)``; a pixel without any weight keeps its value."""
+        parts = [to_image([s / self._total for s in sums], self._layout) for sums in self._sums]
+        return keep_untouched(np.concatenate(parts, axis=2), self._targets)
 
 
 def keep_untouched(result: FloatImage, targets: NDArray[Any]) -> FloatImage:
@@ -75,34 +124,3 @@ def keep_untouched(result: FloatImage, targets: NDArray[Any]) -> FloatImage:
     if all_finite(result):
         return result
     return np.where(np.isnan(result), targets, result).astype(np.float32, copy=False)
-
-
-def _window(
-    planes: Planes,
-    seen: Planes | None,
-    mask: Planes,
-    layout: Layout,
-    weight: Weight,
-    numbers: Sequence[float],
-    spatial: NDArray[Any],
-    module: Any,
-) -> FloatImage:
-    import drjit as dr
-
-    radius = layout.border
-    sums = [dr.zeros(module.Float, layout.size) for _ in range(len(planes) + 1)]
-    dr.eval(sums)
-    centre = seen.views() if seen is not None else []
-    knobs = constants(numbers, module)
-    side = 2 * radius + 1
-    for dy in range(-radius, radius + 1):
-        for start in range(0, side, _TAPS):
-            for dx in range(start - radius, min(start + _TAPS, side) - radius):
-                near = seen.views(dx, dy) if seen is not None else []
-                (factor,) = constants([spatial[dy + radius, dx + radius]], module)
-                w = weight(centre, near, knobs, factor) * mask.view(0, dx, dy)
-                for channel, value in enumerate(planes.views(dx, dy)):
-                    sums[channel] = dr.fma(w, value, sums[channel])
-                sums[-1] += w
-            dr.eval(sums)
-    return to_image([value / sums[-1] for value in sums[:-1]], layout)
