@@ -44,7 +44,7 @@ def content(
     """The bytes of a file; with several parts they are named ``part0``, ``part1``, …"""
     made = []
     for n in range(parts):
-        pixels = channels or arrays(n)
+        pixels = dict(channels or arrays(n))  # the module puts its own objects into it
         height, width = next(iter(pixels.values())).shape
         x, y = origin
         header: dict[str, Any] = {

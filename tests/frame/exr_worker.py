@@ -12,7 +12,8 @@ from lambent.errors import LambentError
 from lambent.frame.exr import decode, encode
 from lambent.frame.files import read_views
 
-STDOUT = os.fdopen(os.dup(1), "w", buffering=1)  # the module's own prints must not get in between
+STDOUT = os.fdopen(os.dup(1), "w", buffering=1)
+os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what C code prints must not get in between
 
 
 def answer(path: str) -> str:

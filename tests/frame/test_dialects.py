@@ -363,6 +363,36 @@ def test_first_view_layer_gives_the_roles() -> None:
     assert any("back.001" in note for note in found.notes)
 
 
+def test_the_richest_view_layer_gives_the_roles() -> None:
+    """In one part channels come in the order of the alphabet, which means nothing."""
+    channels = [*rgb("Aside.Combined"), *rgb("ViewLayer.Combined"), *rgb("ViewLayer.DiffCol")]
+    found = identify(exr(*channels, *rgb("ViewLayer.Denoising Albedo")))
+    assert found.of(Role.COLOUR).name == "ViewLayer.Combined"
+
+
+def test_composite_only_without_view_layers() -> None:
+    header = {"BlenderMultiChannel": "x"}
+    assert roles(identify(exr(*rgb("Composite.Combined"), header=header))) == {
+        "colour": "Composite.Combined"
+    }
+
+
+def test_blender_50_stereo_parts() -> None:
+    """As Blender 5.0.1 names them: the view behind the part's name and in its attribute."""
+    described = []
+    for layer in ("ViewLayer.Combined", "ViewLayer.Noisy Image", "ViewLayer.Denoising Albedo"):
+        for view in ("left", "right"):
+            channels = dict.fromkeys(f"{layer}.{c}" for c in "RGB")
+            described.append(part(len(described), channels, f"{layer}-{view}", view))
+    found = identify(ExrFile(Path("x.exr"), tuple(described)))
+    assert (found.dialect, found.views) == ("blender", ("left", "right"))
+    for view in found.views:
+        assert roles(found, view) == {
+            "colour": "ViewLayer.Noisy Image",
+            "albedo": "ViewLayer.Denoising Albedo",
+        }
+
+
 def test_another_view_layer_by_its_colour() -> None:
     """--map colour=… switches everything, the samples too."""
     found = identify(two_view_layers(), {"colour": "back.001.Combined"})

@@ -358,9 +358,9 @@ def _version(cursor: _Cursor) -> int:
         raise FileError("is empty", file=container.path, remedy="copy or render it again")
     start = container.read(0, min(16, container.size))
     if not start.startswith(EXR_MAGIC):
-        kind = kind_of(start)
-        if kind is None and EXR_MAGIC.startswith(start):
+        if EXR_MAGIC.startswith(start):
             container.damaged("the file ends in the middle of its header")
+        kind = kind_of(start)
         raise FileError(
             f"is not an EXR but {kind[1]}" if kind else "is not an EXR",
             file=container.path,

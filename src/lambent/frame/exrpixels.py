@@ -33,6 +33,8 @@ Arrays = dict[str, NDArray[Any]]
 #: Unpacked bytes of a band: large enough that a band costs little, small against a picture.
 BAND_BYTES = 32 << 20
 NONE, ZIP = 0, 3
+#: Compressions whose library prints remarks to C's stdout, which would show up at any later time.
+_TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 _CHANNEL_NUMBER = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
 
 
@@ -97,6 +99,8 @@ def decode_rows(
             found, reason = [], str(error)
         else:
             reason = ""
+        if not found or COMPRESSIONS[part.compression] in _TALKATIVE:
+            _flush_c()
     if not found:
         reason = "; ".join(filter(None, [reason, *said])) or "OpenEXR gave no reason"
         container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
@@ -414,6 +418,14 @@ def _quiet() -> Iterator[list[str]]:
             stack.close()
             if sys.stdout is stdout:
                 sys.stdout = stdout.other  # type: ignore[assignment]
+
+
+def _flush_c() -> None:
+    """Make C's own buffers write out what was printed, while somebody listens."""
+    import ctypes
+
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).fflush(None)
 
 
 @contextmanager

@@ -1,0 +1,317 @@
+"""Whatever is in a file: our own errors with file and remedy, and never a crash."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import exr_samples
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lambent.errors import DamagedFileError, DeepFileError, FileError
+from lambent.frame.exr import decode
+from lambent.frame.files import read
+
+DAMAGED = (
+    "invalid_attribute",
+    "truncated_layers",
+    "truncated_scanline",
+    "undecodable_pixels",
+    "unopenable_header",
+)
+
+
+def decode_all(path: Path) -> None:
+    for part in decode(path).parts:
+        for channel in part.channels.values():
+            assert channel.data.size > 0
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_shared_damaged_files(name: str, shared_data: Path, capfd: pytest.CaptureFixture) -> None:
+    """OpenEXR's module returns an empty list for three of these, and prints; we do neither."""
+    path = shared_data / "exr" / "damaged" / f"{name}.exr"
+    with pytest.raises(DamagedFileError) as caught:
+        decode_all(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.remedy
+    assert capfd.readouterr() == ("", "")
+
+
+def test_deep_file_is_refused(shared_data: Path) -> None:
+    with pytest.raises(DeepFileError, match="deep image") as caught:
+        read(shared_data / "exr" / "openexr_deep_trunks.exr")
+    assert "latten" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["scanline", "tiled", "parts"])
+def test_truncation_anywhere(kind: str, tmp_path: Path) -> None:
+    """A file that ends too early is found at once, wherever it ends, before any pixel is read."""
+    content = exr_samples.content(
+        tiled=kind == "tiled",
+        parts=2 if kind == "parts" else 1,
+        channels={"R": np.ones((40, 9), np.float16), "id": np.ones((40, 9), np.uint32)},
+    )
+    path = tmp_path / "cut.exr"
+    path.write_bytes(content)
+    decode_all(path)
+    # Every fifth byte keeps this quick; it meets every kind of place many times.
+    for end in [*range(1, len(content), 5), len(content) - 1]:
+        path.write_bytes(content[:end])
+        with pytest.raises(DamagedFileError):
+            decode(path)
+
+
+def test_a_render_that_was_stopped(tmp_path: Path) -> None:
+    """Offsets of zero: the renderer never came to these rows. The count is told."""
+    content = bytearray(exr_samples.content("ZIPS_COMPRESSION"))
+    path = tmp_path / "stopped.exr"
+    path.write_bytes(content)
+    table = decode(path).container.header_size
+    content[table + 8 * 30 : table + 8 * 37] = bytes(8 * 7)
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=r"7 of 37 pieces .* missing"):
+        decode(path)
+
+
+def test_undecodable_pixels_tell_what_openexr_said(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    """The C library's words are in our message, and nowhere else."""
+    content = bytearray(exr_samples.content("ZIP_COMPRESSION"))
+    path = tmp_path / "bad.exr"
+    path.write_bytes(content)
+    start = int(decode(path).container.chunks[0].start[0])
+    content[start + 8 : start + 60] = b"\xff" * 52
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match="EXR_ERR"):
+        decode_all(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_prints_of_others_pass_through(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    """While OpenEXR is listened to, other output is only delayed."""
+    from lambent.frame.exrpixels import _quiet
+
+    with _quiet() as said:
+        os.write(2, b"somebody else\nEXR_ERR_OURS here\n")
+        os.write(1, b"a result\n")
+    assert said == ["EXR_ERR_OURS here"]
+    assert capfd.readouterr() == ("a result\n", "somebody else\n")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(40), "PNG"),
+        (b"hello, this is a text", "text file"),
+        (b"\x00\x01\x02\x03" * 9, "not an EXR"),
+        (b"\x76\x2f\x31\x01\x09\0\0\0" + bytes(40), "version 9"),
+    ],
+)
+def test_what_is_no_exr(content: bytes, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "picture.exr"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=words) as caught:
+        decode(path)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    (tmp_path / "shot.exr").write_bytes(b"")
+    with pytest.raises(FileError, match=r"no such file(.|\n)*shot\.exr"):
+        decode(tmp_path / "shto.exr")
+    with pytest.raises(FileError, match="directory"):
+        decode(tmp_path)
+
+
+def test_file_that_shrinks_after_it_was_opened(tmp_path: Path) -> None:
+    """Another program writes into the file while we hold it: an error, no crash (no mmap)."""
+    path = tmp_path / "in.exr"
+    path.write_bytes(exr_samples.content())
+    exr = decode(path)
+    os.truncate(path, 600)
+    with pytest.raises(DamagedFileError):
+        _ = exr.parts[0].channels["R"].data
+
+
+def test_nonsense_sizes_are_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+    """A window of a billion by a billion pixels in a file of two kilobytes."""
+    content = exr_samples.content("NO_COMPRESSION")
+    box = struct.pack("<4i", 0, 0, exr_samples.WIDTH - 1, exr_samples.HEIGHT - 1)
+    path = tmp_path / "huge.exr"
+    for x, y in ((2**29, 2**29), (2**31 - 1, 5), (100, 2**30 - 1), (-1, 5)):
+        path.write_bytes(content.replace(box, struct.pack("<4i", 0, 0, x, y), 1))
+        with pytest.raises(DamagedFileError):
+            decode(path)
+
+
+# ---------------------------------------------------------------------- fuzz
+
+
+class Worker:
+    """A reading process; a crash of it is a failed test, not a dead test run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "fuzz.exr"
+        self.process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).parent / "exr_worker.py")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            bufsize=1,
+        )
+
+    def ask(self, content: bytes) -> str:
+        self.path.write_bytes(content)
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(json.dumps({"path": str(self.path)}) + "\n")
+        answer = self.process.stdout.readline().strip()
+        assert answer, f"the reader crashed with {self.process.wait()}"
+        assert answer == "ok" or answer.startswith("refused: "), answer
+        return answer
+
+
+@pytest.fixture(scope="module")
+def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
+    worker = Worker(tmp_path_factory.mktemp("fuzz"))
+    yield worker
+    assert worker.process.stdin is not None
+    worker.process.stdin.close()
+    assert worker.process.wait(10) == 0
+
+
+SEEDS = [
+    exr_samples.content(compression, tiled=tiled, parts=parts)
+    for compression in exr_samples.COMPRESSIONS
+    for tiled, parts in ((False, 1), (True, 2))
+]
+FUZZ = settings(
+    max_examples=200, deadline=None, suppress_health_check=list(HealthCheck), database=None
+)
+change = st.tuples(
+    st.floats(0, 1, exclude_max=True),
+    st.sampled_from(["set", "cut", "add", "word"]),
+    st.integers(0, 255),
+)
+
+
+@FUZZ
+@given(
+    seed=st.sampled_from(SEEDS),
+    changes=st.lists(change, min_size=1, max_size=5),
+    reach=st.sampled_from([8, 420, 900, None]),
+)
+def test_fuzz_bytes(
+    worker: Worker, seed: bytes, changes: list[tuple[float, str, int]], reach: int | None
+) -> None:
+    """Bytes changed, cut out, put in, in the header or anywhere: read, or refused by us."""
+    content = bytearray(seed)
+    for where, what, value in changes:
+        at = int(where * min(reach or len(content), len(content)))
+        if what == "set":
+            content[at] = value
+        elif what == "cut":
+            del content[at]
+        elif what == "add":
+            content.insert(at, value)
+        else:
+            content[at : at + 4] = struct.pack("<i", (-1, 2**31 - 1, 0, -(2**31))[value % 4])
+    worker.ask(bytes(content))
+
+
+channel = st.tuples(
+    st.binary(min_size=0, max_size=12),
+    st.integers(-1, 4),
+    st.sampled_from([1, 1, 1, 1, 2, 0, -1, 3, 2**31 - 1]),
+    st.sampled_from([1, 1, 1, 1, 2, 0, -3]),
+)
+corner = st.one_of(st.integers(-70, 70), st.integers(-(2**31), 2**31 - 1))
+
+
+@FUZZ
+@given(
+    channels=st.lists(channel, max_size=5),
+    window=st.tuples(corner, corner, corner, corner),
+    compression=st.integers(0, 14),
+    flags=st.sampled_from([0, 0, 0x200, 0x400, 0x800, 0x1000]),
+    tiles=st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(0, 40)),
+    in_order=st.booleans(),
+    rest=st.binary(max_size=200),
+)
+def test_fuzz_headers(
+    worker: Worker,
+    channels: list[tuple[bytes, int, int, int]],
+    window: tuple[int, int, int, int],
+    compression: int,
+    flags: int,
+    tiles: tuple[int, int, int],
+    in_order: bool,
+    rest: bytes,
+) -> None:
+    """Headers put together at random: names, types, samplings, windows, tiles, levels."""
+    if in_order:
+        channels = sorted({c[0].replace(b"\0", b"") or b"x": c for c in channels}.items())
+        channels = [(name, *c[1:]) for name, c in channels]
+        x0, y0, x1, y1 = window
+        window = min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+    listed = b"".join(
+        name + struct.pack("<xiB3xii", kind, 0, x, y) for name, kind, x, y in channels
+    )
+    box = struct.pack("<4i", *window)
+    entries = [
+        (b"channels", b"chlist", listed + b"\0"),
+        (b"compression", b"compression", bytes([compression])),
+        (b"dataWindow", b"box2i", box),
+        (b"displayWindow", b"box2i", box),
+        (b"lineOrder", b"lineOrder", b"\0"),
+        (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
+        (b"screenWindowCenter", b"v2f", bytes(8)),
+        (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+        (b"tiles", b"tiledesc", struct.pack("<IIB", *tiles)),
+    ]
+    header = b"".join(
+        name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
+        for name, kind, value in entries
+    )
+    worker.ask(b"\x76\x2f\x31\x01" + struct.pack("<I", 2 | flags) + header + b"\0" + rest)
+
+
+names = st.text(st.characters(blacklist_characters="\0", blacklist_categories=["Cs"]), min_size=1,
+                max_size=20)  # fmt: skip
+
+
+@settings(FUZZ, max_examples=100)
+@given(
+    named=st.dictionaries(names, st.sampled_from(["e", "f", "I"]), min_size=1, max_size=6),
+    origin=st.tuples(st.integers(-2000, 2000), st.integers(-2000, 2000)),
+    size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    compression=st.sampled_from(exr_samples.COMPRESSIONS),
+    tiled=st.booleans(),
+)
+def test_fuzz_sound_files(
+    worker: Worker,
+    named: dict[str, str],
+    origin: tuple[int, int],
+    size: tuple[int, int],
+    compression: str,
+    tiled: bool,
+) -> None:
+    """Sound files with any names, types and windows, one-pixel ones too: always read."""
+    rng = np.random.default_rng(0)
+    pixels = {n: (rng.random(size) * 99).astype(kind) for n, kind in named.items()}
+    if any(len(n.encode()) > 255 for n in named):
+        return
+    content = exr_samples.content(compression, tiled=tiled, channels=pixels, origin=origin)
+    assert worker.ask(content).startswith(("ok", "refused: LayerError"))
