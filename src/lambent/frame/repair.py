@@ -96,8 +96,8 @@ class LayerRepairs:
         said = []
         if self.kept_negative:
             said.append(
-                f"'{self.name}' has {self.kept_negative} slightly negative values, as pixel "
-                "filters with negative lobes make them; they were kept."
+                f"'{self.name}' has {self.kept_negative} slightly negative values (rounding, or a "
+                "pixel filter with negative lobes); they were kept."
             )
         if self.kept_huge:
             said.append(

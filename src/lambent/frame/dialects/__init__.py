@@ -120,6 +120,7 @@ def _denoised(layers: list[Found]) -> list[str]:
             beauty = next((f for f in layers if (f.role, f.stat) == (Role.COLOUR, Stat.MEAN)), None)
             if beauty is not None and beauty.name != found.name:
                 return [
-                    f"'{found.name}' is already denoised; '{beauty.name}' is taken as the colour."
+                    f"'{found.name}' is already denoised and stays as it is; '{beauty.name}' is "
+                    "taken as the colour."
                 ]
     return []

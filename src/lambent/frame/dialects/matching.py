@@ -238,18 +238,23 @@ def _found(image: Image, role: Role, why: str) -> Found:
 
 
 def chosen_scope(matches: Sequence[Match], asked: str = "") -> str:
-    """The view layer that gives the roles: the one asked for, else the first with a colour.
+    """The view layer that gives the roles: the one asked for, else the richest with a colour.
 
-    Blender's ``Composite`` (the compositor's result) only where there is no other.
+    Of equals the first in the file (one part: in the alphabet). Blender's ``Composite`` (the
+    compositor's result) only where there is no other.
     """
     scopes = list(dict.fromkeys(m.scope for m in matches))
     if asked and asked in scopes:
         return asked
-    with_colour = [m.scope for m in matches if m.found.role is Role.COLOUR]
-    for scope in (*with_colour, *scopes):
-        if scope and scope.lower() != "composite":
-            return scope
-    return with_colour[0] if with_colour else (scopes[0] if scopes else "")
+    known = {scope: 0 for scope in scopes}
+    for match in matches:
+        known[match.scope] += match.found.role not in (Role.ID, Role.OTHER)
+    coloured = {m.scope for m in matches if m.found.role is Role.COLOUR}
+
+    def worth(scope: str) -> tuple[bool, bool, int]:
+        return scope in coloured, bool(scope) and scope.lower() != "composite", known[scope]
+
+    return max(scopes, key=worth, default="")
 
 
 def settle(matches: Sequence[Match], scope: str) -> tuple[list[Found], list[str]]:
