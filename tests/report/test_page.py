@@ -235,3 +235,37 @@ def test_an_inspection_shows_everything_it_is_given(tmp_path):
     assert page.index("Suspicions") < page.index("Layers") < page.index("<h2>Parts")
     assert "<title>Inspection of a.exr</title>" in page
     assert len(page) < 60_000
+
+
+def test_an_inspection_names_every_channel_whatever_their_order(tmp_path):
+    # Types alternate along the names: none may be lost in grouping them.
+    names = ["A", "B", "Z", "id.x", "id.y"]
+    kinds = ["half", "float", "half", "uint", "float"]
+    channels = [{"name": n, "type": k} for n, k in zip(names, kinds, strict=True)]
+    channels.append({"name": "RY", "type": "half", "x_sampling": 2, "y_sampling": 2})
+    page = write_inspection(
+        tmp_path / "i.html", {"parts": [{"index": 0, "channels": channels}]}
+    ).read_text("utf-8")
+    assert "<i>half</i> A  Z<br><i>float</i> B  id.y<br><i>uint</i> id.x" in page
+    assert "<i>half (every 2 × 2)</i> RY" in page
+
+
+def test_broken_values_of_light_stand_out_and_negative_normals_do_not(tmp_path):
+    layers = [
+        {"name": "L", "role": "colour", "space": "linear", "negative": 7, "nan": 0},
+        {"name": "N", "role": "normal", "space": "world", "negative": 9, "nan": 3},
+    ]
+    page = write_inspection(tmp_path / "i.html", {"layers": layers}).read_text("utf-8")
+    assert '<td class="number warn">7</td>' in page
+    assert '<td class="number">9</td>' in page
+    assert '<td class="number warn">3</td>' in page
+
+
+def test_real_files_can_be_inspected(shared_data, tmp_path):
+    from lambent.frame.inspection import inspect_file
+
+    inspection = inspect_file(shared_data / "exr" / "vray_cornell_layers_cryptomatte.exr").as_dict()
+    page = write_inspection(tmp_path / "i.html", inspection).read_text("utf-8")
+    for layer in inspection["layers"]:
+        assert escape(layer["name"]) in page
+        assert escape(layer["why"]) in page

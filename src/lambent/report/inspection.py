@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Mapping
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lambent.frame.role import INFO, Role
 from lambent.frame.tonemap import auto_exposure, to_uint8
 from lambent.metrics.compare import number
+from lambent.metrics.pair import FloatArray
 from lambent.report.page import build, escape, picture, save, table
 
 if TYPE_CHECKING:
@@ -50,7 +52,15 @@ def inspection_page(
     title: str | None = None,
 ) -> str:
     """The text of the page; arguments as in `write_inspection`."""
-    images = {name: _thumbnail(name, thing) for name, thing in (thumbnails or {}).items()}
+    roles = {
+        str(r.get("name")): str(r.get("role"))
+        for r in (inspection.get("layers") or ())
+        if isinstance(r, Mapping)
+    }
+    images = {
+        name: _thumbnail(name, thing, roles.get(name, ""))
+        for name, thing in (thumbnails or {}).items()
+    }
     facts: list[tuple[str, str]] = []
     sections: list[tuple[int, str, str]] = []
     used: set[str] = set()
@@ -95,14 +105,16 @@ def _tidy(inspection: Record) -> dict[str, Any]:
         facts = {"picture": picture_size, **facts}
     if facts.get("dialect") and facts.get("dialect_why"):
         facts["dialect"] = f"{facts['dialect']} ({facts.pop('dialect_why')})"
+    several = len(facts.get("parts") or ()) > 1
     if _is_records(facts.get("layers")):
-        facts["layers"] = [_layer(r) for r in facts["layers"]]
+        facts["layers"] = [_layer(r, facts.get("picture"), several) for r in facts["layers"]]
     if _is_records(facts.get("parts")):
         facts["parts"] = [_part(r) for r in facts["parts"]]
     return facts
 
 
-def _layer(record: Record) -> dict[str, Any]:
+def _layer(record: Record, picture_size: Any, several: bool) -> dict[str, Any]:
+    """``several``: whether the file has several parts, so that their numbers say something."""
     r = dict(record)
     tidy: dict[str, Any] = {"name": r.pop("name", "")}
     stat = r.pop("stat", "mean")
@@ -113,12 +125,14 @@ def _layer(record: Record) -> dict[str, Any]:
     tidy["space"] = None if space in ("none", None) else space
     tidy["why"] = r.pop("why", None)
     tidy["view"] = r.pop("view", None)
-    tidy["part"] = r.pop("part", None)
+    part = r.pop("part", None)
+    tidy["part"] = part if several else None
     channels = r.pop("channels", None)
     if isinstance(channels, (list, tuple)):
         tidy["channels"] = "  ".join(str(c).rsplit(".", 1)[-1] for c in channels)
     if {"width", "height"} <= r.keys():
-        tidy["size"] = f"{r.pop('width')} × {r.pop('height')}"
+        size = f"{r.pop('width')} × {r.pop('height')} pixels"
+        tidy["size"] = None if size == picture_size else size
     return {**tidy, **r}
 
 
@@ -130,12 +144,12 @@ def _part(record: Record) -> dict[str, Any]:
         if isinstance(window, (list, tuple)) and len(window) == 4:
             r[key] = f"{window[0]}, {window[1]} to {window[2]}, {window[3]}"
     if _is_records(channels):
-        named = []
+        of_type: dict[str, list[str]] = {}
         for c in channels:
             x, y = c.get("x_sampling", 1), c.get("y_sampling", 1)
             sampling = "" if (x, y) == (1, 1) else f" (every {x} × {y})"
-            named.append((f"{c.get('type', '')}{sampling}", str(c.get("name", ""))))
-        r["channels"] = {k: "  ".join(n for _, n in g) for k, g in groupby(named, lambda c: c[0])}
+            of_type.setdefault(f"{c.get('type', '')}{sampling}", []).append(str(c.get("name", "")))
+        r["channels"] = {kind: "  ".join(names) for kind, names in of_type.items()}
     elif channels is not None:
         r["channels"] = channels
     return r
@@ -189,7 +203,12 @@ def _records(key: str, records: list[Record], images: Mapping[str, str]) -> tupl
         for column in columns[1:]:
             value = record.get(column)
             kind = "number" if column in numeric else "text"
-            if column in ("nan", "infinite", "negative") and value:
+            if (column, value) == ("level", "warning"):
+                kind += " warn"
+            # A negative value is no surprise but in light.
+            odd = column in ("nan", "infinite")
+            odd |= column == "negative" and record.get("space") in (None, "linear")
+            if odd and value and record.get("role") not in ("id", "other"):
                 kind += " warn"
             cells.append(f'<td class="{kind}">{_text(value)}</td>')
         rows.append(cells)
@@ -217,7 +236,7 @@ def _text(value: Any) -> str:
     return escape(value)
 
 
-def _thumbnail(name: str, thing: Any) -> str:
+def _thumbnail(name: str, thing: Any, role: str) -> str:
     from PIL import Image
 
     if isinstance(thing, (bytes, bytearray)):
@@ -230,8 +249,22 @@ def _thumbnail(name: str, thing: Any) -> str:
     if array.shape[2] != 3:
         array = np.repeat(array[:, :, :1], 3, axis=2)
     step = max(1, -(-max(array.shape[:2]) // THUMBNAIL))
-    small = array[::step, ::step]
-    shown = Image.fromarray(to_uint8(small, auto_exposure(small)))
+    shown = Image.fromarray(_visible(array[::step, ::step], role))
     buffer = io.BytesIO()
     shown.save(buffer, "PNG", optimize=True)
     return picture(buffer.getvalue(), f"Layer {name}", *shown.size)
+
+
+def _visible(image: FloatArray, role: str) -> NDArray[np.uint8]:
+    """Bytes for the eye: light at its automatic exposure, vectors around grey, the rest to 1."""
+    light = role in ("", "None") or any(role == r.value and INFO[r].radiance for r in Role)
+    if light:
+        return to_uint8(image, auto_exposure(image))
+    finite = image[np.isfinite(image)]
+    # 95 %: a few misses (1e10) shall not darken a depth.
+    top = float(np.percentile(np.abs(finite), 95)) if finite.size else 1.0
+    top = 1.0 if 0 < top <= 1 else top or 1.0
+    if finite.size and finite.min() < 0:
+        centred = np.nan_to_num(image / top, posinf=1, neginf=-1) * 0.5 + 0.5
+        return np.asarray(np.clip(centred, 0, 1) * 255 + 0.5, np.uint8)
+    return to_uint8(image, 1 / top)
