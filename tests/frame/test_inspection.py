@@ -95,6 +95,18 @@ def test_correlation_of_known_noise(rho: float) -> None:
     assert noise.level == pytest.approx(0.05 * (1 + a**2), rel=0.35)
 
 
+def test_correlation_of_gaussian_noise() -> None:
+    """Neighbours at 1/2, those two apart at 1/16, as under a wide Gaussian filter."""
+    rng = np.random.default_rng(8)
+    distance = np.minimum(np.arange(512), 512 - np.arange(512)) ** 2
+    covariance = 0.5 ** (distance[:, None] + distance[None, :])
+    spectrum = np.sqrt(np.maximum(np.fft.fft2(covariance).real, 0))
+    image = 0.1 * np.fft.ifft2(np.fft.fft2(rng.normal(size=(512, 512))) * spectrum).real
+    noise = noise_in(image.astype(np.float32))
+    assert noise.across == pytest.approx(0.5, abs=0.015)
+    assert noise.down == pytest.approx(0.5, abs=0.015)
+
+
 def test_half_buffers_measure_directly() -> None:
     frame = Frame.from_arrays(
         colour=scene(1), colour_half_a=scene(3, 4, 1.0), colour_half_b=scene(4, 4, 1.0)

@@ -1,7 +1,7 @@
 """Dialects: what the layers of a renderer's files mean.
 
 One file a renderer, each a table of data (`Dialect`); `identify` reads them. Reading order:
-`table` (the records), `blender` (the richest table), `images`, `matching`.
+`table` (the records), `blender` (the richest table), `images`, `matching`, `choices`.
 
 Example: ``identify(decode("noisy.exr")).of(Role.ALBEDO).name`` is ``"ViewLayer.Denoising Albedo"``.
 
@@ -15,13 +15,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from lambent.frame.dialects.choices import asked_for, overridden
 from lambent.frame.dialects.images import images_of, views_of
 from lambent.frame.dialects.matching import (
-    asked_for,
     assign,
     attributes,
     chosen_scope,
-    overridden,
     recognise,
     samples,
     scope_of,
