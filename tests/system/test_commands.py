@@ -77,6 +77,20 @@ def test_strength_zero_keeps_the_picture(noisy, capsys):
     assert all(np.array_equal(before[n], after[n]) for n in before)
 
 
+@pytest.mark.parametrize("strength", [0, 1])
+def test_what_is_not_filtered_is_not_repaired_in_the_file(tmp_path, capsys, strength):
+    """A NaN in the albedo is kept from the filter, and is still in the output."""
+    arrays = renders.channels()
+    arrays["albedo.G"][3, 4] = np.nan
+    arrays["R"][5, 6] = np.nan
+    path = renders.write(tmp_path / "noisy.exr", arrays)
+    text = run(capsys, "denoise", path, "--strength", strength, *FAST)
+    assert "'albedo': 1 NaN" in text
+    after = renders.read(tmp_path / "noisy_clean.exr")
+    assert after["albedo.G"].tobytes() == arrays["albedo.G"].tobytes()
+    assert np.isfinite(after["R"]).all()
+
+
 def test_map_gives_a_layer_a_role(tmp_path, capsys):
     arrays = renders.channels()
     path = renders.write(
