@@ -22,7 +22,7 @@ def channels(height: int = 48, width: int = 64, seed: int = 0) -> dict[str, np.n
         "normal.Z": np.ones_like(x),
         "depth.Z": 1 + y,
     }
-    return {n: np.ascontiguousarray(a, dtype=np.float32) for n, a in found.items()}
+    return {n: np.array(a, np.float32, order="C") for n, a in found.items()}
 
 
 def write(path: Path, arrays: dict[str, np.ndarray] | None = None, **header: Any) -> Path:
