@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError, OptionError
 from lambent.frame.exrfile import ExrFile, ExrPart
-from lambent.frame.exrwrite import HALF_MAX, to_type
+from lambent.frame.exrwrite import beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer, Source
 from lambent.frame.luma import enlarge, from_rgb, to_rgb, weights
@@ -266,7 +266,7 @@ def _place(
         planes = [plane / np.float32(found.scale) for plane in planes]
     for (index, name), plane in zip(found.channels, planes, strict=True):
         part = exr.parts[index]
-        if part.channels[name].dtype == np.float16 and (beyond := _beyond_half(plane)):
+        if part.channels[name].dtype == np.float16 and (beyond := beyond_half(plane)):
             notes.append(f"{beyond} values of '{name}' exceed a half: clamped to ±65504.")
         replaced[index, name] = _pasted(part, name, plane, origin.window)
     return notes
@@ -290,12 +290,3 @@ def _pasted(part: ExrPart, name: str, plane: NDArray[Any], window: Window) -> ND
         plane, channel.dtype
     )
     return whole
-
-
-def _beyond_half(plane: NDArray[Any]) -> int:
-    """How many finite values a half cannot hold; a few rows at a time, to save memory."""
-    count = 0
-    for top in range(0, plane.shape[0], 256):
-        size = np.abs(plane[top : top + 256])
-        count += int(((size > HALF_MAX) & np.isfinite(size)).sum())
-    return count

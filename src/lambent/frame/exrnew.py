@@ -20,7 +20,7 @@ from lambent.errors import LayerError
 from lambent.frame.atomic import atomic
 from lambent.frame.exrheader import DTYPES, ChannelInfo, PartHeader
 from lambent.frame.exrpixels import ZIP, bands, encode_rows
-from lambent.frame.exrwrite import to_type
+from lambent.frame.exrwrite import beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import EXR_MAGIC
@@ -75,10 +75,10 @@ def write_new(
     half: bool = False,
     attributes: Mapping[str, int | str | list[str]] | None = None,
     overwrite: bool = False,
-) -> None:
+) -> tuple[str, ...]:
     """Write channels ``(H, W)`` of one size as a new EXR, float32 or half, atomically.
 
-    ``attributes``: header values beside the required ones.
+    ``attributes``: header values beside the required ones. Returns what was clamped, in sentences.
     Raises `LayerError` for sizes that differ or names the format cannot hold, `OutputError`.
     """
     part = _part(path, planes, DTYPES[1] if half else DTYPES[2], attributes or {})
@@ -95,6 +95,12 @@ def write_new(
                 out.write(chunk)
         out.seek(table)
         out.write(struct.pack(f"<{len(offsets)}Q", *offsets))
+    if not half:
+        return ()
+    beyond = {name: count for name, plane in planes.items() if (count := beyond_half(plane))}
+    return tuple(
+        f"{n} values of '{name}' exceed a half: clamped to ±65504." for name, n in beyond.items()
+    )
 
 
 def _part(

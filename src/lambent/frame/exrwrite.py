@@ -57,6 +57,15 @@ def to_type(array: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
     return array.astype(dtype)
 
 
+def beyond_half(plane: NDArray[Any]) -> int:
+    """How many finite values a half cannot hold; a few rows at a time, to save memory."""
+    count = 0
+    for top in range(0, plane.shape[0], 256):
+        size = np.abs(plane[top : top + 256])
+        count += int(((size > HALF_MAX) & np.isfinite(size)).sum())
+    return count
+
+
 # ------------------------------------------------------------------- writing
 
 

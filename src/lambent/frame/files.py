@@ -195,8 +195,7 @@ def _write_new(
         attributes["spp"] = first.spp
     if len(views) > 1:
         attributes["multiView"] = views
-    write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
-    return ()
+    return write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
 
 
 # -------------------------------------------------------------------- images
