@@ -40,9 +40,9 @@ DETAILS = ((84, 186, 132, 96), (0, 6, 132, 96))
 SHEET_DETAIL = (186, 140, 132, 100)
 #: Details of benchmark scenes that are in the public domain (CC0).
 SCENES = {
-    "cornell-box": (60, 190, 160, 120),
+    "cornell-box": (130, 250, 160, 120),
     "veach-bidir": (150, 200, 160, 120),
-    "veach-mis": (240, 90, 160, 120),
+    "veach-mis": (330, 120, 160, 120),
 }
 
 Pixels = NDArray[np.uint8]
