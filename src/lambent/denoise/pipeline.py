@@ -49,6 +49,9 @@ NOISY_ALPHA_SHARE = 1e-3
 #: Without a limit from the caller, filtering may take this share of the memory that is free.
 FREE_SHARE = 0.8
 
+#: Of a memory limit, this share is left for what no plan foresees.
+RESERVE = 0.1
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -222,7 +225,9 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     chosen = choose_layers(repaired, settings)
     if settings.strength == 0.0 or not _any_light(chosen):
         why = "strength is 0" if settings.strength == 0.0 else "the image is black all over"
-        same = repaired.noted(f"{why}: nothing was filtered")
+        same = frame.noted(*repaired.notes[len(frame.notes) :], f"{why}: nothing was filtered")
+        for layer in chosen:
+            same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
     fitted = denoiser.fitted(repaired)
@@ -301,7 +306,8 @@ def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: 
     channels = sum(layer.data.shape[2] for layer in layers)
     result_bytes = 4 * channels * height * width
     if settings.max_memory is not None:
-        budget: int | None = settings.max_memory - memory.used() - result_bytes
+        allowed = int((1 - RESERVE) * settings.max_memory)
+        budget: int | None = allowed - memory.used() - result_bytes
     else:
         free = memory.available()
         budget = None if free is None else int(FREE_SHARE * free) - result_bytes
