@@ -185,8 +185,9 @@ def test_tiles_give_the_same_result():
     noisy = Frame.from_arrays(colour=rng.random((400, 300, 3), np.float32))
     whole = lambent.denoise(noisy, model="mean").colour
     from lambent.denoise import memory
+    from lambent.denoise.pipeline import RESERVE
 
-    limit = memory.used() + 4 * 3 * 120000 + 10_000_000
+    limit = int((memory.used() + 4 * 3 * 120000 + 10_000_000) / (1 - RESERVE))
     done = clean(noisy, Settings.checked(model="mean", max_memory=limit))
     np.testing.assert_allclose(done.frame.colour, whole, atol=1e-6)
 
