@@ -33,30 +33,36 @@ WORDS: tuple[tuple[Role, str, Space | None], ...] = (
     (Role.ALPHA, r"a|alpha", None),
 )
 
-#: What follows a role's word (nothing: colour's) for its other statistics.
-STATS: tuple[tuple[Stat, str, str], ...] = (
-    (Stat.VARIANCE, r"var(iance)?", "variance, taken to be that of the mean"),
-    (Stat.HALF_A, r"half[_.]?(a|0)", "one half of the samples"),
-    (Stat.HALF_B, r"half[_.]?(b|1)", "the other half of the samples"),
+#: What follows a role's word (nothing: colour's) for its other statistics; a text all contain.
+STATS: tuple[tuple[Stat, str, str, str], ...] = (
+    (Stat.VARIANCE, r"var(iance)?", "var", "variance, taken to be that of the mean"),
+    (Stat.HALF_A, r"half[_.]?(a|0)", "half", "one half of the samples"),
+    (Stat.HALF_B, r"half[_.]?(b|1)", "half", "the other half of the samples"),
 )
 
+#: Ids and masks, with a text that every match contains.
 IDS = (
-    r".*crypto.*",
-    r"(.*[_ .])?(object|obj|material|mat|instance|prim(itive)?|shape|asset|mesh|node|puzzle)"
-    r"?[_ ]?(id|index)s?\d*(\.\w)?",
-    r"instanceid|objectid|materialid|primid|shapeid",
-    r".*mask\d*(\.\w+)?",
-    r".*matte\d*(\.\w+)?",
+    (r".*crypto.*", "crypto"),
+    (r".*mask\d*(\.\w+)?", "mask"),
+    (r".*matte\d*(\.\w+)?", "matte"),
+    (
+        r"(.*[_ .])?(object|obj|material|mat|instance|prim(itive)?|shape|asset|mesh|node|puzzle)"
+        r"?[_ ]?(id|index)s?\d*(\.\w)?",
+        "i",
+    ),
 )
 
 
 def _rules() -> tuple[Rule, ...]:
-    rules = [Rule(pattern, Role.ID, "an id or a mask, never filtered") for pattern in IDS]
-    for role, words, space in WORDS:
-        for stat, suffix, what in STATS:
+    rules = [Rule(words, role, "a common name", space=space) for role, words, space in WORDS]
+    rules += [
+        Rule(pattern, Role.ID, "an id or a mask, never filtered", hint=hint)
+        for pattern, hint in IDS
+    ]
+    for role, words, _ in WORDS:
+        for stat, suffix, hint, what in STATS:
             front = f"(({words})[_. ])" + ("?" if role is Role.COLOUR else "")
-            rules.append(Rule(front + suffix, role, what, stat))
-        rules.append(Rule(words, role, "a common name", space=space))
+            rules.append(Rule(front + suffix, role, what, stat, hint=hint))
     # Light in parts: these sum to the beauty where they are complete.
     rules += [
         Rule(

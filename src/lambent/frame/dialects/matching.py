@@ -56,6 +56,22 @@ def compiled(pattern: str) -> re.Pattern[str]:
     return re.compile(pattern, re.IGNORECASE)
 
 
+@lru_cache(maxsize=4096)
+def _words(pattern: str) -> frozenset[str] | None:
+    """The words of a pattern that is nothing but words and bars; compiling one takes 0.1 ms."""
+    if all(c.isalnum() or c in "_- |" for c in pattern):
+        return frozenset(pattern.lower().split("|"))
+    return None
+
+
+def fits(pattern: str, name: str) -> bool:
+    """Whether a pattern of a table matches a whole name, whatever its case."""
+    words = _words(pattern)
+    if words is not None:
+        return name.lower() in words
+    return compiled(pattern).fullmatch(name) is not None
+
+
 # ------------------------------------------------------------------------------- which dialect
 
 
@@ -85,7 +101,7 @@ def recognise(
     for dialect in dialects.values():
         hits = {}
         for pattern in dialect.names:
-            hit = next((name for name in names if compiled(pattern).fullmatch(name)), None)
+            hit = next((name for name in names if fits(pattern, name)), None)
             if hit is not None:
                 hits[pattern] = hit
         if dialect.names and len(hits) >= dialect.enough and (best is None or len(hits) > best[0]):
@@ -197,13 +213,13 @@ def assign(
 
 
 def _fits(rule: Rule, text: str, image: Image, beside: set[str]) -> bool:
-    if not compiled(rule.pattern).fullmatch(text):
+    if rule.hint not in text.lower() or not fits(rule.pattern, text):
         return False
-    if rule.component and not compiled(rule.component).fullmatch(image.component):
+    if rule.component and not fits(rule.component, image.component):
         return False
     if rule.alpha is not None and rule.alpha != (image.alpha is not None):
         return False
-    return not (rule.without and any(compiled(rule.without).fullmatch(n) for n in beside))
+    return not (rule.without and any(fits(rule.without, name) for name in beside))
 
 
 def _from_rule(

@@ -23,7 +23,8 @@ class Rule:
     name. ``alpha``: True or False asks for an image with or without an alpha of its own.
     ``without``: the rule holds only where no layer of that name is beside it.
     ``per_sample``: the file holds the variance of the samples; divided by spp it is that of the
-    mean.
+    mean. ``hint``: text in small letters that every matching name contains; it spares compiling
+    patterns that cannot match.
     """
 
     pattern: str
@@ -36,6 +37,7 @@ class Rule:
     alpha: bool | None = None
     without: str = ""
     per_sample: bool = False
+    hint: str = ""
 
 
 @dataclass(frozen=True)
