@@ -15,8 +15,8 @@ Computed by the authors' own ``flip-evaluator``; here are only the settings:
   a stop. Departure: where the median is below `DARK` of the brightest (a picture mostly black),
   that range would be dozens of stops deep into black; the median of the brighter pixels is
   taken instead. A black reference is seen at exposures 0 to 1.
-- It is slow: about three seconds for a megapixel and an exposure, on one core; HDR-FLIP of a frame with
-  ten stops between its median and its lamps takes ten times that. The map is kept with its pair.
+- It is slow: about three seconds for a megapixel and an exposure, on one core; HDR-FLIP of a
+  frame with ten stops between its median and its lamps takes ten times that.
 - A pixel of the image that is not finite is black to FLIP and then counts 1.
 """
 
