@@ -69,7 +69,7 @@ class SUREFilter(Denoiser):
     sigma_position: float = 0.6
     sigma_roughness: float = 0.25
     sigma_colour: float | None = None
-    floor: float = 4e-3
+    floor: float = 0.02
     device: Device = "auto"
     _scales: Scales | None = None
     _exposure: float | None = None
