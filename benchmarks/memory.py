@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 from cold_start import procedural_frame
 
 CACHE = Path(os.environ.get("LAMBENT_CACHE", Path.home() / ".cache" / "lambent"))

@@ -33,25 +33,24 @@ def _write(path: Path, text: str) -> None:
 
 def commands() -> str:
     """One section a command: what it does, its arguments and options."""
-    import click
     from lambent.cli import command as root_command
 
     os.environ.setdefault("NO_COLOR", "1")
     root = root_command()
-    context = click.Context(root, info_name="lambent")
+    context = root.context_class(root, info_name="lambent")
     out = ["# Commands", "", _prose(root.help), ""]
     out += ["```{contents}", ":local:", ":depth: 1", "```", ""]
     for name in root.list_commands(context):
         command = root.get_command(context, name)
         assert command is not None
-        sub = click.Context(command, info_name=name, parent=context)
+        sub = command.context_class(command, info_name=name, parent=context)
         usage = command.get_usage(sub).replace("Usage: ", "")
         out += [f"## lambent {name}", "", _prose(command.help), ""]
         out += ["```text", " ".join(usage.split()), "```", ""]
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
-        rows = [(f"`{p.make_metavar(sub)}`", getattr(p, "help", "") or "") for p in arguments]
-        rows += [(_option(p, sub), _help(p)) for p in options if p.name != "help"]
+        rows = [(f"`{_metavar(p)}`", getattr(p, "help", "") or "") for p in arguments]
+        rows += [(_option(p), _help(p)) for p in options if p.name != "help"]
         if rows:
             out += ["| argument or option | what it does |", "| --- | --- |"]
             out += [f"| {a} | {_cell(b)} |" for a, b in rows]
@@ -59,11 +58,15 @@ def commands() -> str:
     return "\n".join(out)
 
 
-def _option(option: Any, context: Any) -> str:
+def _metavar(parameter: Any) -> str:
+    return str(parameter.metavar or parameter.name.upper())
+
+
+def _option(option: Any) -> str:
     names = ", ".join(f"`{o}`" for o in [*option.opts, *option.secondary_opts])
     if option.is_flag:
         return names
-    return f"{names} `{option.make_metavar(context)}`"
+    return f"{names} `{_metavar(option)}`"
 
 
 def _help(option: Any) -> str:

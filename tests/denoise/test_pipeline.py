@@ -192,6 +192,17 @@ def test_tiles_give_the_same_result():
     np.testing.assert_allclose(done.frame.colour, whole, atol=1e-6)
 
 
+def test_large_frames_report_progress_with_filters_that_cannot_tell():
+    noisy = Frame.from_arrays(colour=np.ones((1500, 1500, 3), np.float32))
+    calls: list[float] = []
+    clean(
+        noisy, Settings.checked(model="mean"), lambda done, total, text: calls.append(done / total)
+    )
+    assert len(calls) >= 3
+    assert calls == sorted(calls)
+    assert calls[-1] == 1
+
+
 @pytest.mark.parametrize(
     "options",
     [

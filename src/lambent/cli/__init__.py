@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -29,3 +30,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     from lambent.cli.app import run
 
     return run(args)
+
+
+def command() -> Any:
+    """The root command as an object, from which the pages of the documentation are made."""
+    from lambent.cli.app import group
+
+    return group()

@@ -74,7 +74,7 @@ def run(args: Sequence[str]) -> int:
     as_json = "--json" in args
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = _group().main(list(args), prog_name="lambent", standalone_mode=False)
+        code = group().main(list(args), prog_name="lambent", standalone_mode=False)
         if code == 130:
             _say_interrupted()
         return code if isinstance(code, int) else 0
@@ -97,10 +97,8 @@ def run(args: Sequence[str]) -> int:
         return known.exit_code
 
 
-# ------------------------------------------------------------------- private
-
-
-def _group() -> Any:
+def group() -> Any:
+    """The root command, with its options and all commands."""
     app = typer.Typer(
         cls=LazyCommands,
         rich_markup_mode=None,
@@ -111,6 +109,9 @@ def _group() -> Any:
     )
     app.callback()(_root)
     return typer.main.get_command(app)
+
+
+# ------------------------------------------------------------------- private
 
 
 def _root(

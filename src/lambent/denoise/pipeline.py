@@ -52,6 +52,11 @@ FREE_SHARE = 0.8
 #: Of a memory limit, this share is left for what no plan foresees.
 RESERVE = 0.1
 
+#: A filter that cannot tell how far it is works on large frames in tiles of so many pixels, for
+#: the sake of a progress that moves, if its margin is small enough to cost next to nothing.
+SILENT_PIXELS = 1 << 20
+SMALL_MARGIN = 40
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -312,6 +317,10 @@ def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: 
         free = memory.available()
         budget = None if free is None else int(FREE_SHARE * free) - result_bytes
     per_pixel = denoiser.bytes_per_pixel(max(channels, 3))
+    silent = type(denoiser).watched is Denoiser.watched
+    if silent and denoiser.margin() <= SMALL_MARGIN and height * width > 2 * SILENT_PIXELS:
+        most = SILENT_PIXELS * per_pixel
+        budget = most if budget is None else min(budget, most)
     return plan_tiles(height, width, per_pixel, denoiser.margin(), budget)
 
 
