@@ -32,7 +32,7 @@ def twin_weights(guide, variance, window, k=1.0):
 
 
 def twin_regression(weights, features, image, window, power, ridge, quiet):
-    height, width, channels = image.shape
+    height, width, _ = image.shape
     R = window.radius
     total = OWN_WEIGHT * image.astype(np.float64)
     mass = np.full((height, width, 1), OWN_WEIGHT)

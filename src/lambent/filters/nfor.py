@@ -23,6 +23,8 @@ Where we depart from the paper (and its public implementation in the Tungsten re
 - Error and choice are smoothed with the regression's weights (7x7 patches), not with a further NLM
   (3x3 patches); features are filtered once, from their mean and variance, not crosswise twice.
 - The normal equations are solved by Cholesky with a small ridge; the paper uses QR.
+- Every colour variance is averaged over 3x3 pixels first. At 16 spp (three scenes) that lowered the
+  error by 4 to 12 %; the one operator for all layers cost nothing there, stride 2 within 7 %.
 - *Without half buffers*: weights come from the image itself, and the error is SURE: the residual,
   with the divergence measured by one random probe (Ramani et al. 2008, "Monte-Carlo SURE").
 - *Without any variance*: it is estimated from second differences (Immerkær 1996, "Fast Noise
@@ -33,9 +35,10 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.filters.denoiser import About, Denoiser, Device
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
@@ -47,6 +50,8 @@ from lambent.kernels.regression import Weights, Window, first_order, patch_weigh
 
 #: Half side of the box over which a variance without samples behind it is averaged.
 _SMOOTH = 3
+#: Half side of the box over which every variance is averaged.
+_VARIANCE_SMOOTH = 1
 #: Radius, patch and k of the feature filter (paper, 5.1).
 _FEATURE_RADIUS, _FEATURE_PATCH, _FEATURE_K = 5, 3, 0.5
 
@@ -95,7 +100,9 @@ class NFOR(Denoiser):
         """Two regressions, the smoothed choice between them, and what they are made from."""
         regression = 2 * self.radius + self.patch
         choice = 2 * (self.radius + 1)
-        made_from = max(_FEATURE_RADIUS + _FEATURE_PATCH + 1, _SMOOTH + 1) + MARGIN
+        made_from = (
+            max(_FEATURE_RADIUS + _FEATURE_PATCH + 1, _SMOOTH + 1 + _VARIANCE_SMOOTH) + MARGIN
+        )
         return 2 * regression + choice + made_from
 
     def fitted(self, frame: Frame) -> NFOR:
@@ -130,7 +137,8 @@ class NFOR(Denoiser):
         variance = variance_of(frame, Role.COLOUR)
         if variance is None:
             variance = spatial_variance(colour)
-        variance = np.broadcast_to(variance, colour.shape)
+        # A variance of few samples is noisy itself, and low where no bright path was met.
+        variance = box_mean(np.array(np.broadcast_to(variance, colour.shape)), _VARIANCE_SMOOTH)
         a, b = frame.get(Role.COLOUR, Stat.HALF_A), frame.get(Role.COLOUR, Stat.HALF_B)
         if a is not None and b is not None:
             halves = [_finite(np.broadcast_to(h, colour.shape)) for h in (a, b)]
@@ -160,12 +168,12 @@ class NFOR(Denoiser):
         for i in range(2):
             fit_a, fit_b = fits[0][i][:, :, :3], fits[1][i][:, :, :3]
             error = ((halves[1] - fit_a) ** 2 + (halves[0] - fit_b) ** 2) / 2
-            errors.append(error - 2 * variance - (fit_b - fit_a) ** 2 / 4)
+            errors.append(_single_precision(error - 2 * variance - (fit_b - fit_a) ** 2 / 4))
         share = _choice(errors, weights)
         one, two = (fits[h][0] + share * (fits[h][1] - fits[h][0]) for h in range(2))
-        once = (one[:, :, 3:] + two[:, :, 3:]) / 2
-        pilot = (one[:, :, :3] + two[:, :, :3]) / 2
-        return once, pilot, (one[:, :, :3] - two[:, :, :3]) ** 2 / 4
+        mean = _single_precision((one + two) / 2)
+        residual = _single_precision((one[:, :, :3] - two[:, :, :3]) ** 2 / 4)
+        return mean[:, :, 3:], mean[:, :, :3], residual
 
     def _single(
         self,
@@ -268,6 +276,10 @@ def _noisy(seen: Features) -> tuple[str, ...]:
     names = [n.partition(".")[0] for n in seen.names]
     worth = seen.variance.mean(axis=(0, 1), dtype=np.float64) > 1e-6
     return tuple(dict.fromkeys(n for n, w in zip(names, worth, strict=True) if w))
+
+
+def _single_precision(image: NDArray[Any]) -> FloatImage:
+    return image.astype(np.float32, copy=False)
 
 
 def _finite(image: FloatImage) -> FloatImage:

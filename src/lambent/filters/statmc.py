@@ -9,8 +9,8 @@ Gaussian in the image and in albedo and normal (`lambent.kernels.statistics`).
 
 Samples of radiance are not normal. So the test looks at Box-Cox transformed samples
 x = (c^λ − 1)/λ, λ = 1/2, and the mean is corrected for their skewness: m + μ₃/(6 s² n), Johnson
-1978. Frames carry these as layers ``boxcox``, ``boxcox_variance`` (of the mean) and ``boxcox_skew`` (the
-third central moment of the samples). What is averaged is always the radiance itself.
+1978. Frames carry these as layers ``boxcox``, ``boxcox_variance`` (of the mean), ``boxcox_skew``
+(the third central moment of the samples). What is averaged is always the radiance itself.
 
 Defaults are the authors' (their public implementation): radius 20, σ = 10 pixels, 0.1 for normals,
 0.02 for albedo, α = 0.005, ν = 2n − 2 degrees of freedom.
@@ -111,7 +111,7 @@ class StatMC(Denoiser):
         widths = self._widths if self._widths is not None else self._feature_widths(frame)
         seen = features(frame, [role for role, _ in widths])
         scale = [w for role, w in widths for _ in seen.index(role)]
-        stack = seen.stack / (np.sqrt(np.float32(2)) * np.float32(scale))
+        stack = seen.stack / np.asarray(scale, np.float32) / np.float32(np.sqrt(2))
         return welch_mean(targets, mean, bound, stack, self.radius, self.sigma, self.device)
 
     def tested(self, frame: Frame) -> tuple[FloatImage, FloatImage, float]:

@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.kernels.arrays import backend
+from lambent.kernels.exponential import exp_weight
 
 Image = NDArray[np.float32]
 
@@ -92,146 +93,157 @@ def patch_weights(
     jit = backend(device)
     import drjit as dr
 
-    height, width, channels = guide.shape
+    height, width, _ = guide.shape
     R, F, s = window.radius, window.patch, window.stride
-    pad = R + F
-    pitch = width + 2 * pad
-    u = [_plane(jit, guide[:, :, c], pad) for c in range(channels)]
-    v = [_plane(jit, variance[:, :, c], pad) for c in range(channels)]
     rows_c, cols_c = window.centres(height), window.centres(width)
-    n_centres = rows_c * cols_c
-    side = 2 * R + 1
-    planes = dr.zeros(jit.Float, window.offsets() * n_centres)
-
-    # Stripes keep the distance planes, (O, rows, W + 2F), near 100 MB.
+    both = _packets(jit, np.concatenate([guide, variance], axis=2), R + F)
+    planes = dr.empty(jit.Float, window.offsets() * rows_c * cols_c)
     span = width + 2 * F
-    stripe = max(1, min(rows_c, int(24e6 / (window.offsets() * span * s)) or 1))
+    # Stripes keep the column sums, (O, rows of centres, W + 2F), near 50 MB.
+    stripe = max(1, int(12e6 / (window.offsets() * span)))
     for first in range(0, rows_c, stripe):
         count = min(stripe, rows_c - first)
-        top = first * s  # first image row of centres; distances start F rows above
-        rows = (count - 1) * s + 1 + 2 * F
-        cells = rows * span
-        index = dr.arange(jit.UInt32, cells)
-        y = index // span
-        x = index - y * span
-        here = (y + top + R) * pitch + x + R  # in the padded planes
-        up = [dr.gather(jit.Float, p, here) for p in u]
-        vp = [dr.gather(jit.Float, p, here) for p in v]
-        distance = dr.empty(jit.Float, cells * window.offsets())
-
-        def step(
-            o: Any,
-            dx: Any,
-            q: Any,
-            at: Any,
-            here: Any = here,
-            up: list = up,
-            vp: list = vp,
-            distance: Any = distance,
-            cells: int = cells,
-        ) -> tuple[Any, Any, Any, Any]:
-            total = jit.Float(0)
-            for c in range(channels):
-                uq = dr.gather(jit.Float, u[c], q)
-                vq = dr.gather(jit.Float, v[c], q)
-                d = up[c] - uq
-                least = dr.select(vp[c] < vq, vp[c], vq)
-                top_ = d * d - (vp[c] + least)
-                bottom = TINY + (k * k) * (vp[c] + vq)
-                one = top_ / bottom
-                total += dr.select(one < FARTHEST, one, FARTHEST)
-            dr.scatter(distance, total * (1.0 / channels), at)
-            wrap = dx == 2 * R
-            return (
-                o + 1,
-                dr.select(wrap, 0, dx + 1),
-                q + dr.select(wrap, jit.UInt32(pitch - 2 * R), jit.UInt32(1)),
-                at + cells,
-            )
-
-        dr.while_loop(
-            (jit.UInt32(0), jit.UInt32(0), here - (R * pitch + R), jit.UInt32(index)),
-            lambda o, dx, q, at: o < window.offsets(),
-            step,
-            labels=("o", "dx", "q", "at"),
-        )
-        dr.eval(distance)
-
-        # Box filter down the columns, at rows of centres only.
-        index = dr.arange(jit.UInt32, count * span)
-        y = index // span
-        x = index - y * span
-        columns = dr.empty(jit.Float, count * span * window.offsets())
-        start = (y * s) * span + x
-
-        def down(
-            o: Any,
-            at: Any,
-            to: Any,
-            distance: Any = distance,
-            columns: Any = columns,
-            cells: int = cells,
-            count: int = count,
-        ) -> tuple[Any, Any, Any]:
-            total = jit.Float(0)
-            for j in range(2 * F + 1):
-                total += dr.gather(jit.Float, distance, at + j * span)
-            dr.scatter(columns, total, to)
-            return o + 1, at + cells, to + count * span
-
-        dr.while_loop(
-            (jit.UInt32(0), start, jit.UInt32(index)),
-            lambda o, at, to: o < window.offsets(),
-            down,
-            labels=("o", "at", "to"),
-        )
-        dr.eval(columns)
-
-        # Along the rows, and the exponential.
-        index = dr.arange(jit.UInt32, count * cols_c)
-        y = index // cols_c
-        x = index - y * cols_c
-        py = jit.Int32(y + first) * s
-        px = jit.Int32(x) * s
-        start = y * span + x * s
-        to = (y + first) * cols_c + x
-
-        def along(
-            o: Any,
-            dx: Any,
-            qx: Any,
-            qy: Any,
-            at: Any,
-            to: Any,
-            columns: Any = columns,
-            count: int = count,
-        ) -> tuple[Any, ...]:
-            total = jit.Float(0)
-            for i in range(2 * F + 1):
-                total += dr.gather(jit.Float, columns, at + i)
-            total *= 1.0 / (2 * F + 1) ** 2
-            w = dr.exp(-dr.select(total > 0, total, 0))
-            inside = (qx >= 0) & (qx < width) & (qy >= 0) & (qy < height)
-            dr.scatter(planes, dr.select(inside, w, 0), to)
-            wrap = dx == 2 * R
-            return (
-                o + 1,
-                dr.select(wrap, 0, dx + 1),
-                dr.select(wrap, qx - 2 * R, qx + 1),
-                dr.select(wrap, qy + 1, qy),
-                at + count * span,
-                to + n_centres,
-            )
-
-        dr.while_loop(
-            (jit.UInt32(0), jit.UInt32(0), px - R, py - R, start, to),
-            lambda o, dx, qx, qy, at, to: o < window.offsets(),
-            along,
-            labels=("o", "dx", "qx", "qy", "at", "to"),
-        )
-        dr.eval(planes)
-    assert side * side == window.offsets()
+        columns = _column_sums(jit, both, guide.shape, window, k, first * s, count)
+        _row_weights(jit, columns, planes, guide.shape, window, first, count)
     return Weights(planes, height, width, window, device)
+
+
+def _column_sums(
+    jit: Any,
+    both: list[Any],
+    shape: tuple[int, ...],
+    window: Window,
+    k: float,
+    top: int,
+    count: int,
+) -> Any:
+    """Distances (3) summed down the columns of patches, for ``count`` rows of centres.
+
+    A thread has one offset and one column and walks down: the distances of the rows that two
+    patches share stay in registers, so that no plane of distances is ever written.
+    ``(O, count, W + 2F)``, flat.
+    """
+    import drjit as dr
+
+    width, channels = shape[1:3]
+    R, F, s = window.radius, window.patch, window.stride
+    side, tall = 2 * R + 1, 2 * F + 1
+    span = dr.opaque(jit.UInt32, width + 2 * F)
+    pitch = dr.opaque(jit.UInt32, width + 2 * (R + F))
+    index = dr.arange(jit.UInt32, side * side * (width + 2 * F))
+    offset = index // span
+    x = index - offset * span
+    oy = offset // side
+    ox = offset - oy * side
+    first = dr.opaque(jit.UInt32, top + R) * pitch + x + R
+    shift = oy * pitch + ox - (R * pitch + R)
+
+    def distance(p: Any) -> Any:
+        here, there = _packet(jit, both, p), _packet(jit, both, p + shift)
+        total = jit.Float(0)
+        for c in range(channels):
+            vp, vq = here[channels + c], there[channels + c]
+            d = here[c] - there[c]
+            above = d * d - (vp + dr.select(vp < vq, vp, vq))
+            one = above / (TINY + (k * k) * (vp + vq))
+            total += dr.select(one < FARTHEST, one, FARTHEST)
+        return total
+
+    kept = max(0, tall - s)
+    sums = dr.empty(jit.Float, side * side * count * (width + 2 * F))
+    last = dr.opaque(jit.UInt32, count)
+
+    def walk(row: Any, p: Any, to: Any, *old: Any) -> tuple[Any, ...]:
+        new = [*old, *(distance(p + j * pitch) for j in range(kept, tall))]
+        total = new[0]
+        for value in new[1:]:
+            total = total + value
+        dr.scatter(sums, total * (1.0 / (channels * tall * tall)), to)
+        return (row + 1, p + s * pitch, to + span, *new[len(new) - kept :])
+
+    start = [distance(first + j * pitch) for j in range(kept)]
+    dr.while_loop(
+        (jit.UInt32(0), first, offset * (last * span) + x, *start),
+        lambda row, *_: row < last,
+        walk,
+    )
+    dr.eval(sums)
+    return sums
+
+
+def _row_weights(
+    jit: Any,
+    columns: Any,
+    planes: Any,
+    shape: tuple[int, ...],
+    window: Window,
+    first: int,
+    count: int,
+) -> None:
+    """Column sums to weights, along the rows; written into ``planes``."""
+    import drjit as dr
+
+    height, width = shape[:2]
+    R, F, s = window.radius, window.patch, window.stride
+    rows_c, cols_c = window.centres(height), window.centres(width)
+    across, high, wide = (dr.opaque(jit.UInt32, n) for n in (cols_c, height, width))
+    index = dr.arange(jit.UInt32, count * cols_c)
+    y = index // across
+    x = index - y * across
+    row = y + dr.opaque(jit.UInt32, first)
+    span = wide + 2 * F
+    step = dr.opaque(jit.UInt32, count) * span
+    n_centres = dr.opaque(jit.UInt32, rows_c * cols_c)
+
+    def along(o: Any, dx: Any, qx: Any, qy: Any, at: Any, to: Any) -> tuple[Any, ...]:
+        total = dr.gather(jit.Float, columns, at)
+        for i in range(1, 2 * F + 1):
+            total += dr.gather(jit.Float, columns, at + i)
+        w = exp_weight(-dr.select(total > 0, total, 0))
+        # Unsigned: what lies left of the image or above it is very large.
+        dr.scatter(planes, dr.select((qx < wide) & (qy < high), w, 0), to)
+        wrap = dx == 2 * R
+        return (
+            o + 1,
+            dr.select(wrap, 0, dx + 1),
+            dr.select(wrap, qx - 2 * R, qx + 1),
+            dr.select(wrap, qy + 1, qy),
+            at + step,
+            to + n_centres,
+        )
+
+    dr.while_loop(
+        (
+            jit.UInt32(0),
+            jit.UInt32(0),
+            x * s - R,
+            row * s - R,
+            y * span + x * s,
+            row * across + x,
+        ),
+        lambda o, *_: o < window.offsets(),
+        along,
+    )
+    dr.eval(planes)
+
+
+def _packets(jit: Any, image: Image, pad: int) -> list[Any]:
+    """The channels four at a time, side by side: one load of a vector reads four of a pixel."""
+    padded = np.pad(image, ((pad, pad), (pad, pad), (0, -image.shape[2] % 4)), mode="constant")
+    padded[:, :, : image.shape[2]] = np.pad(
+        image, ((pad, pad), (pad, pad), (0, 0)), mode="symmetric"
+    )
+    return [
+        jit.Float(np.ascontiguousarray(padded[:, :, c : c + 4], np.float32).ravel())
+        for c in range(0, padded.shape[2], 4)
+    ]
+
+
+def _packet(jit: Any, packets: list[Any], index: Any) -> list[Any]:
+    """All channels of the pixels ``index``."""
+    import drjit as dr
+
+    return [value for p in packets for value in dr.gather(jit.Array4f, p, index)]
 
 
 def _plane(jit: Any, image: Image, pad: int, mode: Any = "symmetric") -> Any:
@@ -311,13 +323,15 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     cx = index - cy * cols_c
     here = (cy * s + R) * pitch + cx * s + R
     fc = [dr.gather(jit.Float, p, here) for p in f]
+    # Relative to the centre's own value: a constant image is then exactly constant.
+    yc = [dr.gather(jit.Float, p, here) for p in y]
     pairs = [(i, j) for i in range(n) for j in range(i, n)]
 
     def add(*state: Any) -> tuple[Any, ...]:
         o, dx, q, at, ex, ey, *sums = state
         w = _power(dr.gather(jit.Float, weights.planes, at), power)
         x = [None, ex, ey] + [dr.gather(jit.Float, p, q) - c for p, c in zip(f, fc, strict=True)]
-        v = [dr.gather(jit.Float, p, q) for p in y]
+        v = [dr.gather(jit.Float, p, q) - c for p, c in zip(y, yc, strict=True)]
         wx = [w] + [w * xi for xi in x[1:]]
         for m, (i, j) in enumerate(pairs):
             sums[m] = sums[m] + wx[j] if i == 0 else dr.fma(wx[i], x[j], sums[m])
@@ -354,6 +368,7 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     beta = _solve(dr, gram, right, n, C, ridge)
     # From differences to the centre, to absolute features: nothing of the centre is needed later.
     for c in range(C):
+        beta[0][c] = beta[0][c] + yc[c]
         for i, centre in enumerate(fc):
             beta[0][c] = beta[0][c] - beta[3 + i][c] * centre
     per = -(-(n * C) // 4) * 4  # floats a centre, in packets of four
