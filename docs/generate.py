@@ -59,7 +59,7 @@ def commands() -> str:
 
 
 def _metavar(parameter: Any) -> str:
-    return str(parameter.metavar or parameter.name.upper())
+    return str(parameter.metavar or parameter.name.upper()).replace("|", "\\|")
 
 
 def _option(option: Any) -> str:
