@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -121,11 +122,27 @@ def test_completion_offers_models_and_roles():
     assert complete_roles("alb") == ["albedo="]
 
 
-def test_shell_completion_script_is_printed():
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("lambent de", ["denoise"]),
+        ("lambent denoise --model oidn-b", ["oidn-balanced", "oidn-best"]),
+        ("lambent denoise --map rough", ["roughness="]),
+        ("lambent models nf", ["nfor"]),
+    ],
+)
+def test_bash_completes_commands_models_and_roles(words, expected):
+    """As the script of ``--install-completion`` asks."""
     done = subprocess.run(
-        [sys.executable, "-m", "lambent", "--show-completion", "bash"],
+        [sys.executable, "-c", "from lambent.cli import main; main()"],
         capture_output=True,
         text=True,
-        check=False,
+        check=True,
+        env={
+            **os.environ,
+            "COMP_WORDS": words,
+            "COMP_CWORD": str(words.count(" ")),
+            "_LAMBENT_COMPLETE": "complete_bash",
+        },
     )
-    assert "complete" in done.stdout or "complete" in done.stderr
+    assert done.stdout.split() == expected

@@ -191,6 +191,7 @@ def denoise(
     ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: with a
     file, names of layers; with an array, arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
     ``roles``: role to layer name. ``max_memory``: bytes, or text such as ``"4G"``.
+    ``threads``: of the engine; Dr.Jit has one pool, so its limit stays until another is set.
 
     Returns the whole frame with the filtered layers replaced. Raises `lambent.LambentError` and
     its kinds. Example::
@@ -235,6 +236,8 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
             same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
+    if settings.threads is not None and "threads" not in parameters(settings.model):
+        _limit_drjit(settings)
     fitted = denoiser.fitted(repaired)
     plan = plan_frame(repaired, fitted, chosen, settings)
     if progress is not None:
@@ -325,6 +328,17 @@ def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: 
 
 
 # ------------------------------------------------------------------- private
+
+
+def _limit_drjit(settings: Settings) -> None:
+    """Dr.Jit's pool is one for the process, so the limit stays until another is set."""
+    from lambent.startup import engine
+
+    engine(settings.device)
+    import drjit as dr
+
+    assert settings.threads is not None
+    dr.set_thread_count(settings.threads)
 
 
 class _Stages:
