@@ -83,7 +83,7 @@ def variance_difference(
 class PatchSearch:
     """What a search over patches works on: made once, then asked offset by offset.
 
-    ``layout`` has a border of ``radius + patch + 1``. ``mask`` is 1 at pixels that take part.
+    ``layout`` has a border of ``2·radius + patch + 2``. ``mask`` is 1 at pixels that take part.
     """
 
     layout: Layout
@@ -117,7 +117,7 @@ class PatchSearch:
         """
         module = backend(device)
         height, width = guide.shape[:2]
-        layout = Layout(height, width, radius + patch + 1)
+        layout = Layout(height, width, 2 * radius + patch + 2)
         mask = valid_pixels(guide, variance)
         if valid is not None:
             mask = mask * valid
@@ -128,7 +128,7 @@ class PatchSearch:
             Planes.of(guide, layout, module),
             None if variance is None else Planes.of(variance, layout, module),
             Planes.of(mask, layout, module),
-            *_coordinates(layout, patch, module),
+            *_coordinates(layout, patch + radius + 1, module),
             difference,
             tuple(numbers),
             module,
@@ -144,36 +144,40 @@ class PatchSearch:
             for start in range(0, len(reach), _BATCH):
                 yield [(dx, dy) for dx in reach[start : start + _BATCH]]
 
-    def row_means(self, offsets: Sequence[tuple[int, int]]) -> list[Plane]:
-        """δ averaged along the patch's rows: a `Plane` with ``extent`` = patch for each offset."""
+    def row_means(self, offsets: Sequence[tuple[int, int]], extend: int = 0) -> list[Plane]:
+        """δ averaged along the patch's rows: a `Plane` for each offset.
+
+        ``extend``: rows above and below the image for which distances are wanted.
+        """
         import drjit as dr
 
-        reach = self.patch + 1
+        inner = extend + self.patch
+        outer = inner + 1
         variance = self.variance
         knobs = constants(self.numbers, self.module)
-        p, mask = self.guide.views(extend=reach), self.mask.view(0, extend=reach)
-        vp = [] if variance is None else variance.views(extend=reach)
+        p, mask = self.guide.views(extend=outer), self.mask.view(0, extend=outer)
+        vp = [] if variance is None else variance.views(extend=outer)
         raw = []
         for dx, dy in offsets:
-            q = self.guide.views(dx, dy, reach)
-            vq = [] if variance is None else variance.views(dx, dy, reach)
-            both = mask * self.mask.view(0, dx, dy, reach)
+            q = self.guide.views(dx, dy, outer)
+            vq = [] if variance is None else variance.views(dx, dy, outer)
+            both = mask * self.mask.view(0, dx, dy, outer)
             raw.append(self.difference(p, q, vp, vq, knobs) * both)
         dr.eval(raw)
-        planes = [Plane(self.layout, reach, d, self.module) for d in raw]
+        planes = [Plane(self.layout, outer, d, self.module) for d in raw]
         taps = range(-self.patch, self.patch + 1)
         along = _means(
-            [[plane.view(t, 0, self.patch) for t in taps] for plane in planes],
-            self.columns.view(extend=self.patch),
+            [[plane.view(t, 0, inner) for t in taps] for plane in planes],
+            self.columns.view(extend=inner),
             [self._ends(dx, self.layout.width) for dx, _ in offsets],
         )
         dr.eval(along)
-        return [Plane(self.layout, self.patch, a, self.module) for a in along]
+        return [Plane(self.layout, inner, a, self.module) for a in along]
 
-    def column_views(self, planes: Sequence[Plane]) -> list[list[Any]]:
+    def column_views(self, planes: Sequence[Plane], extend: int = 0) -> list[list[Any]]:
         """For each plane of `row_means` the views that the mean along the columns sums."""
         taps = range(-self.patch, self.patch + 1)
-        return [[plane.view(0, t) for t in taps] for plane in planes]
+        return [[plane.view(0, t, extend) for t in taps] for plane in planes]
 
     def column_ends(self, dy: int) -> list[Any]:
         """What `_mean` along the columns needs to know of an offset."""
@@ -238,6 +242,10 @@ def nlm_mean(
     knobs = constants(numbers, module)
     centre = [] if seen is None else seen.views()
     sums = WeightedSums(targets, layout, module)
+    if joint is None and search.difference is squared_difference:
+        for batch in search.batches():
+            _add_both_ways(search, batch, mask, sums)
+        return sums.mean()
     for batch in search.batches():
         weights = []
         for plane, (dx, dy) in zip(search.row_means(batch), batch, strict=True):
@@ -251,6 +259,35 @@ def nlm_mean(
 
 
 # ------------------------------------------------------------------ private
+
+
+def _add_both_ways(
+    search: PatchSearch, batch: list[tuple[int, int]], mask: Planes, sums: WeightedSums
+) -> None:
+    """Add the weights of some offsets, and of the opposite ones, where the distance is symmetric.
+
+    D_o(p) is the distance of p and p + o, and so D_-o(p) = D_o(p - o): half the distances do.
+    """
+    import drjit as dr
+
+    half = [(dx, dy) for dx, dy in batch if (dy, dx) >= (0, 0)]
+    if not half:
+        return
+    reach = search.radius + 1  # a step to the left in the last column wraps one row up
+    planes = search.row_means(half, reach)
+    rows = search.rows.view(extend=reach)
+    likenesses = []
+    for views, (_, dy) in zip(search.column_views(planes, reach), half, strict=True):
+        distance = _mean(views, rows, search.column_ends(dy))
+        likenesses.append(exp_weight(-greater(distance, 0.0)))
+    dr.eval(likenesses)
+    weights = []
+    for likeness, (dx, dy) in zip(likenesses, half, strict=True):
+        plane = Plane(search.layout, reach, likeness, search.module)
+        weights.append((dx, dy, plane.view() * mask.view(0, dx, dy)))
+        if (dx, dy) != (0, 0):
+            weights.append((-dx, -dy, plane.view(-dx, -dy) * mask.view(0, -dx, -dy)))
+    sums.add(weights)
 
 
 def _coordinates(layout: Layout, extent: int, module: Any) -> tuple[Plane, Plane]:

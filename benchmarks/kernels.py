@@ -1,0 +1,308 @@
+"""How fast the image kernels are, beside NumPy, scikit-image and OpenCV, and how near the limit.
+
+Run ``python benchmarks/kernels.py [--size 1280x720] [--repeat 5]``; it prints one Markdown table.
+All rows of one run are measured in the same process on the same images; each figure is the median
+of the warm calls, all of which are in the JSON (``--json``). "cold" is the first call in a process
+of its own, with an empty kernel cache, without imports.
+
+The limit of a kernel is the greater of two times: the bytes that its launches must move over the
+bandwidth of a Dr.Jit copy kernel, and its floating-point operations over the rate of a Dr.Jit
+kernel of independent FMAs, both measured first. Planes that stay in the cache between launches
+come cheaper than the first figure says, so a kernel can be a little faster than "the limit".
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+RADIUS, PATCH, LEVELS, FEATURES = 5, 3, 5, 6
+
+
+@dataclass(frozen=True)
+class Case:
+    """One kernel: ours, its peers, and what it must at least do for a pixel."""
+
+    name: str
+    ours: Callable[[], Any]
+    peers: dict[str, Callable[[], Any]]
+    bytes_per_pixel: float
+    flops_per_pixel: float
+    target: float | None
+
+
+def images(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """A smooth picture with noise in [0, 1], and six features of it."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    clean = np.stack([np.sin(x / 40) * 0.2 + 0.5, np.cos(y / 50) * 0.2 + 0.5, x / width], axis=2)
+    colour = np.clip(clean + 0.08 * rng.normal(size=clean.shape), 0, 1).astype(np.float32)
+    more = np.floor(clean * 5) / 5 + 0.01 * rng.normal(size=clean.shape)
+    return colour, np.concatenate([clean, more], axis=2).astype(np.float32)
+
+
+# ------------------------------------------------------- NumPy, one offset at a time
+
+
+def shifted(image: np.ndarray, dx: int, dy: int) -> tuple[Any, Any]:
+    """The slices of the pixels, and of their neighbours at (dx, dy)."""
+    height, width = image.shape[:2]
+    here = slice(max(0, -dy), height - max(0, dy)), slice(max(0, -dx), width - max(0, dx))
+    there = slice(max(0, dy), height + min(0, dy)), slice(max(0, dx), width + min(0, dx))
+    return here, there
+
+
+def numpy_window(targets: np.ndarray, guide: np.ndarray, spatial: float) -> np.ndarray:
+    total, norm = np.zeros_like(targets), np.zeros(targets.shape[:2], np.float32)
+    for dy in range(-RADIUS, RADIUS + 1):
+        for dx in range(-RADIUS, RADIUS + 1):
+            p, q = shifted(targets, dx, dy)
+            apart = ((guide[q] - guide[p]) ** 2).sum(axis=2)
+            w = np.exp(-apart - (dx * dx + dy * dy) * spatial)
+            total[p] += w[:, :, None] * targets[q]
+            norm[p] += w
+    return total / norm[:, :, None]
+
+
+def numpy_nlm(image: np.ndarray, h: float) -> np.ndarray:
+    from scipy.ndimage import uniform_filter
+
+    total, norm = np.zeros_like(image), np.zeros(image.shape[:2], np.float32)
+    for dy in range(-RADIUS, RADIUS + 1):
+        for dx in range(-RADIUS, RADIUS + 1):
+            p, q = shifted(image, dx, dy)
+            apart = ((image[q] - image[p]) ** 2).mean(axis=2)
+            w = np.exp(-uniform_filter(apart, 2 * PATCH + 1, mode="reflect") / h**2)
+            total[p] += w[:, :, None] * image[q]
+            norm[p] += w
+    return total / norm[:, :, None]
+
+
+def numpy_atrous(targets: np.ndarray, guide: np.ndarray, features: np.ndarray) -> np.ndarray:
+    from lambent.kernels.atrous import SPLINE
+
+    state = np.concatenate([guide, targets], axis=2)
+    for level in range(LEVELS):
+        total, norm = np.zeros_like(state), np.zeros(state.shape[:2], np.float32)
+        for j in range(-2, 3):
+            for i in range(-2, 3):
+                p, q = shifted(state, i * 2**level, j * 2**level)
+                apart = ((state[q][:, :, :3] - state[p][:, :, :3]) ** 2).sum(axis=2) * 4**level
+                apart += ((features[q] - features[p]) ** 2).sum(axis=2)
+                w = np.exp(-apart) * np.float32(SPLINE[i + 2] * SPLINE[j + 2])
+                total[p] += w[:, :, None] * state[q]
+                norm[p] += w
+        state = total / norm[:, :, None]
+    return state[:, :, 3:]
+
+
+# ------------------------------------------------------------------- cases
+
+
+def cases(height: int, width: int, peers: bool = True) -> list[Case]:
+    from lambent.filters.bilateral import gaussian_weight, log_gaussian
+    from lambent.kernels.atrous import atrous
+    from lambent.kernels.nlm import PatchSearch, nlm_mean, squared_difference
+    from lambent.kernels.window import weighted_window
+
+    colour, features = images(height, width)
+    sigma_d, sigma_r, h = 2.5, 0.2, 0.1
+    spatial = log_gaussian(RADIUS, sigma_d)
+    scaled = colour / np.float32(np.sqrt(2) * sigma_r)
+    factors = [(4.0**level, 1.0) for level in range(LEVELS)]
+    taps, side = (2 * RADIUS + 1) ** 2, 2 * RADIUS + 1
+
+    def search() -> Any:
+        return PatchSearch.of(colour, None, RADIUS, PATCH, squared_difference, (1 / h**2, 0.0))
+
+    def window_cost(guide: int) -> tuple[float, float]:
+        # a launch a row: centre, neighbours, mask, targets, sums in and out
+        moved = 4 * side * (2 * guide + 1 + 3 + 2 * 4)
+        return moved, taps * (3 * guide + 18 + 1 + 2 * 4)
+
+    # four launches for a row of the upper half: differences, means along the rows, along the
+    # columns with the exp, and sums for both directions
+    launches = 4 * side + 2 + 2 * side + 2 * 1 + side + 2 * (3 + 1) + 2 * 4 + 6
+    nlm_bytes = 4 * (RADIUS + 1) * launches
+    nlm_flops = taps / 2 * ((3 * 3 + 4) + 2 * (2 * PATCH + 8) + 18 + 2 * 8)
+    wide = 3 + FEATURES
+    atrous_bytes = 4 * LEVELS * (wide * 2 + 3 + 1 + 2 * 6)
+    atrous_flops = 25 * LEVELS * (3 * wide + 20 + 2 * 6 + 2)
+    found = [
+        Case(
+            f"cross-bilateral, radius {RADIUS}, {FEATURES} features",
+            lambda: weighted_window(colour, features, RADIUS, gaussian_weight, spatial=spatial),
+            {"numpy": lambda: numpy_window(colour, features, 1 / (2 * sigma_d**2))},
+            *window_cost(FEATURES),
+            0.25,
+        ),
+        Case(
+            f"bilateral, radius {RADIUS}",
+            lambda: weighted_window(colour, scaled, RADIUS, gaussian_weight, spatial=spatial),
+            {"numpy": lambda: numpy_window(colour, scaled, 1 / (2 * sigma_d**2))},
+            *window_cost(3),
+            None,
+        ),
+        Case(
+            f"NLM, radius {RADIUS}, patch {PATCH} (7x7)",
+            lambda: nlm_mean(colour, search()),
+            {"numpy": lambda: numpy_nlm(colour, h)},
+            nlm_bytes,
+            nlm_flops,
+            0.8,
+        ),
+        Case(
+            f"à-trous, {LEVELS} levels, {FEATURES} features",
+            lambda: atrous(colour, colour, features, factors),
+            {"numpy": lambda: numpy_atrous(colour, colour, features)},
+            atrous_bytes,
+            atrous_flops,
+            0.15,
+        ),
+    ]
+    if peers:
+        import cv2
+        from skimage.restoration import denoise_bilateral, denoise_nl_means
+
+        bytes_image = (colour * 255).astype(np.uint8)
+        found[1].peers["scikit-image"] = lambda: denoise_bilateral(
+            colour, win_size=side, sigma_color=sigma_r, sigma_spatial=sigma_d, channel_axis=2
+        )
+        found[1].peers["opencv"] = lambda: cv2.bilateralFilter(colour, side, sigma_r, sigma_d)
+        found[2].peers["scikit-image"] = lambda: denoise_nl_means(
+            colour, patch_size=2 * PATCH + 1, patch_distance=RADIUS, h=h, fast_mode=True,
+            channel_axis=2,
+        )  # fmt: skip
+        # 8 bits a channel is all that OpenCV's takes
+        found[2].peers["opencv"] = lambda: cv2.fastNlMeansDenoisingMulti(
+            [bytes_image], 0, 1, None, h * 255, 2 * PATCH + 1, side
+        )
+    return found
+
+
+# --------------------------------------------------------------- measuring
+
+
+def seconds(call: Callable[[], Any], repeat: int) -> list[float]:
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return times
+
+
+def bandwidth() -> float:
+    """Bytes a second that a Dr.Jit kernel reads and writes in arrays beyond the cache."""
+    import drjit as dr
+
+    from lambent.kernels.arrays import backend
+
+    module = backend()
+    count = 1 << 26
+    a = dr.opaque(module.Float, 1.0, count)
+
+    def copy() -> None:
+        b = a + 1.0
+        dr.eval(b)
+        dr.sync_thread()
+
+    copy()
+    return 2 * 4 * count / min(seconds(copy, 5))
+
+
+def fma_rate() -> float:
+    """Floating-point operations a second of independent FMAs on registers."""
+    import drjit as dr
+
+    from lambent.kernels.arrays import backend
+
+    module = backend()
+    count, chains, rounds = 1 << 20, 10, 100
+    start = dr.opaque(module.Float, 0.5, count)
+
+    def run() -> None:
+        values = [start + 0.01 * i for i in range(chains)]
+        for _ in range(rounds):
+            values = [dr.fma(v, 0.999, 0.001) for v in values]
+        total = values[0]
+        for value in values[1:]:
+            total += value
+        dr.eval(total)
+        dr.sync_thread()
+
+    run()
+    return 2 * chains * rounds * count / min(seconds(run, 5))
+
+
+def cold(index: int, size: str) -> float:
+    """The first call of a case in a fresh process with an empty kernel cache."""
+    with tempfile.TemporaryDirectory() as home:
+        answer = subprocess.run(
+            [sys.executable, __file__, "--size", size, "--cold", str(index)],
+            env={**os.environ, "HOME": home},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    return float(answer.stdout.split()[-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--json", help="write all figures here")
+    parser.add_argument("--cold", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    width, height = (int(n) for n in options.size.split("x"))
+    if options.cold is not None:
+        case = cases(height, width, peers=False)[options.cold]
+        print(seconds(case.ours, 1)[0])
+        return
+    stream, rate = bandwidth(), fma_rate()
+    processor = f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+    print(f"{width}x{height}, {processor}; {stream / 1e9:.1f} GB/s, {rate / 1e9:.0f} GFLOP/s\n")
+    print("| kernel | ours s | target s | cold s | limit s | x limit | peer | peer s | x ours |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    rows = []
+    for index, case in enumerate(cases(height, width)):
+        first = cold(index, options.size)
+        case.ours()
+        times = seconds(case.ours, options.repeat)
+        ours = statistics.median(times)
+        pixels = width * height
+        limits = (case.bytes_per_pixel * pixels / stream, case.flops_per_pixel * pixels / rate)
+        bound = "memory" if limits[0] > limits[1] else "FMA"
+        row = {"kernel": case.name, "seconds": times, "cold": first, "limits": limits}
+        row["peers"] = {}
+        for number, (peer, call) in enumerate(case.peers.items()):
+            there = statistics.median(seconds(call, 1 if peer != "opencv" else 3))
+            row["peers"][peer] = there
+            left = ["", "", "", "", "", ""]
+            if number == 0:
+                aim = "" if case.target is None else f"{case.target:.2f}"
+                left = [case.name, f"{ours:.3f}", aim, f"{first:.2f}"]
+                left += [f"{max(limits):.3f} ({bound})", f"{ours / max(limits):.1f}"]
+            print(f"| {' | '.join([*left, peer, f'{there:.2f}', f'{there / ours:.1f}'])} |")
+        sys.stdout.flush()
+        rows.append(row)
+    if options.json:
+        with open(options.json, "w", encoding="utf-8") as file:
+            json.dump({"bandwidth": stream, "fma": rate, "rows": rows}, file, indent=1)
+
+
+if __name__ == "__main__":
+    main()
