@@ -127,7 +127,7 @@ def _samples(images: Sequence[FloatImage]) -> NDArray[np.intp]:
     """Indices of pixels spread over the picture, and the brightest pixel of every image."""
     pixels = images[0].shape[0] * images[0].shape[1]
     spread = np.linspace(0, pixels - 1, min(pixels, _SAMPLES)).astype(np.intp)
-    bright = [int(image.max(axis=2).argmax()) for image in images]
+    bright = [int(image.argmax()) // image.shape[2] for image in images]
     return np.unique(np.concatenate([spread, np.array(bright, np.intp)]))
 
 
@@ -136,10 +136,13 @@ def _slack(goal: NDArray[np.float64], mean: float) -> NDArray[np.float64]:
 
 
 def _fits(beauty: FloatImage, values: Sequence[FloatImage]) -> bool:
-    total = sum(values[1:], start=values[0])
-    goal = beauty.astype(np.float64)
-    close = np.abs(total - goal) <= _slack(goal, float(goal.mean()))
-    return bool(np.count_nonzero(close) >= FITTING * close.size)
+    miss = -beauty  # in float32: its rounding is far below the slack
+    for value in values:
+        miss += value
+    np.abs(miss, out=miss)
+    miss -= np.float32(RELATIVE) * np.abs(beauty)
+    limit = np.float32(ABSOLUTE * abs(float(beauty.mean(dtype=np.float64))))
+    return bool(np.count_nonzero(miss <= limit) >= FITTING * miss.size)
 
 
 def _subsets(
