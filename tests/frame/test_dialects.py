@@ -291,6 +291,19 @@ def test_every_finding_has_a_reason() -> None:
     assert all(layer.why for layer in found.layers)
 
 
+def test_names_that_are_no_text_can_be_shown() -> None:
+    """EXR names are bytes; what is no UTF-8 must not break a print or a JSON file later."""
+    wrong = b"caf\xe9".decode("utf-8", "surrogateescape")
+    found = identify(exr("R", "G", "B", *rgb(wrong), wrong))
+    for layer in found.layers:
+        (layer.name + layer.why).encode("utf-8")
+    assert "caf\\udce9" in named(found, "other")
+    assert (0, f"{wrong}.R") in [c for layer in found.layers for c in layer.channels]
+    with pytest.raises(UnknownNameError) as caught:
+        identify(exr("R", "G", "B", *rgb(wrong)), {"albedo": "nothing"})
+    str(caught.value).encode("utf-8")
+
+
 # ------------------------------------------------------------------------------------------ views
 
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.frame.dialects.images import shown
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Space, Stat
 from lambent.frame.sums import LayerSum, layer_sums
@@ -159,13 +160,15 @@ def inspect_file(
 def _part(part: ExrPart) -> PartReport:
     names = {"float16": "half", "float32": "float", "uint32": "uint"}
     channels = tuple(
-        ChannelReport(c.name, names.get(c.dtype.name, c.dtype.name), c.x_sampling, c.y_sampling)
+        ChannelReport(
+            shown(c.name), names.get(c.dtype.name, c.dtype.name), c.x_sampling, c.y_sampling
+        )
         for c in part.channels.values()
     )
     return PartReport(
         part.index,
-        part.name,
-        part.view,
+        shown(part.name),
+        shown(part.view),
         part.type,
         part.compression,
         part.data_window,
@@ -185,7 +188,7 @@ def _layer(exr: ExrFile, found: Found) -> LayerReport:
         view=found.view,
         why=found.why,
         part=found.part,
-        channels=tuple(name for _, name in found.channels),
+        channels=tuple(shown(name) for _, name in found.channels),
         width=part.width,
         height=part.height,
         **_measured(planes),

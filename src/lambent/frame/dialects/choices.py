@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from lambent.errors import LayerError, UnknownNameError
-from lambent.frame.dialects.images import Image
+from lambent.frame.dialects.images import Image, shown
 from lambent.frame.dialects.matching import Match, picked
 from lambent.frame.dialects.table import Found, misses
 from lambent.frame.role import INFO, Role, Stat, parse_role
@@ -31,7 +31,7 @@ def asked_for(
             allowed = " or ".join(map(str, INFO[role].channels))
             raise LayerError(
                 f"{INFO[role].title} needs {allowed} channels, this has {have} "
-                f"({', '.join(name for _, name in hits[0].channels)})",
+                f"({', '.join(shown(name) for _, name in hits[0].channels)})",
                 file=file,
                 layer=hits[0].name,
                 remedy=f"name another layer: --map {role_name}=NAME",

@@ -96,6 +96,14 @@ def images_of(exr: ExrFile) -> list[Image]:
     return images
 
 
+def shown(name: str) -> str:
+    """A name that can be printed: bytes that are no UTF-8 become ``\\udce9`` and the like.
+
+    EXR names are bytes; decoded, wrong ones are lone surrogates, which no terminal takes.
+    """
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 # ----------------------------------------------------------------------------- channels to groups
 
 
@@ -103,14 +111,14 @@ def _grouped(exr: ExrFile, views: tuple[str, ...]) -> list[_Group]:
     groups: dict[tuple[str, str, int], _Group] = {}
     every = {name for part in exr.parts for name in part.channels}
     for number, part in enumerate(exr.parts):
-        part_name = part.name or ""
+        part_name = shown(part.name or "")
         part_view = part.view
         match = _PART_VIEW.match(part_name)
         if match and match.group(2).lower() in views and len(exr.parts) > 1:
             part_name = match.group(1)
             part_view = part_view or match.group(2).lower()
         for name in part.channels:
-            view, path = _view_and_path(name, part_view, views, every, len(exr.parts) > 1)
+            view, path = _view_and_path(shown(name), part_view, views, every, len(exr.parts) > 1)
             layer, component = _layer_and_component(path, part.channels)
             if not layer and len(exr.parts) > 1:
                 layer = "" if part_name.lower() in ("", "main", "default") else part_name
@@ -212,7 +220,7 @@ def _split(group: _Group) -> list[Image]:
     colour = next((i for i, image in enumerate(made) if image.kind in ("rgb", "luma")), None)
     for component in list(left):
         channel = left.pop(component)
-        own = channel[1].split(".")[-1] if component else ""
+        own = shown(channel[1]).split(".")[-1] if component else ""
         lone = not made and len(group.members) == 1
         if component in ALPHAS and colour is not None:
             made[colour] = replace(made[colour], alpha=channel)

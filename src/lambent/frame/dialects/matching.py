@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from lambent.frame.dialects.images import Image
+from lambent.frame.dialects.images import Image, shown
 from lambent.frame.dialects.table import Dialect, Found, Rule, misses
 from lambent.frame.role import INFO, Role, Space, Stat
 
@@ -227,7 +227,7 @@ def _from_rule(
 ) -> tuple[Found, str]:
     space = INFO[rule.role].space if rule.space is None else rule.space
     if len(channels) < len(image.channels) and image.kind != "luma":
-        why += f" ({', '.join(name for _, name in channels)} only)"
+        why += f" ({', '.join(shown(name) for _, name in channels)} only)"
     found = Found(
         rule.role, image.name, channels, rule.stat, space, image.view, why,
         misses(rule.role, rule.miss) if rule.stat is not Stat.VARIANCE else (),
@@ -338,7 +338,9 @@ def _named_apart(layers: list[Found]) -> list[Found]:
     for found in layers:
         name = found.name
         if (found.view, name) in used:
-            name = f"{found.name} [{'/'.join(c.rpartition('.')[2] for _, c in found.channels)}]"
+            name = (
+                f"{found.name} [{'/'.join(shown(c).rpartition('.')[2] for _, c in found.channels)}]"
+            )
         number = 2
         while (found.view, name) in used:
             name = f"{found.name} #{number}"
