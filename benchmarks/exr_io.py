@@ -30,18 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-NAMES = [
-    "R",
-    "G",
-    "B",
-    "albedo.R",
-    "albedo.G",
-    "albedo.B",
-    "normal.X",
-    "normal.Y",
-    "normal.Z",
-    "depth.Z",
-]
+NAMES = ["R", "G", "B", *(f"albedo.{c}" for c in "RGB"), *(f"normal.{c}" for c in "XYZ"), "depth.Z"]
 COMPRESSIONS = ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "DWAA", "ZSTD")
 
 

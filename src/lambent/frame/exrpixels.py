@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import struct
 import sys
 import tempfile
@@ -33,6 +34,10 @@ Arrays = dict[str, NDArray[Any]]
 #: Unpacked bytes of a band: large enough that a band costs little, small against a picture.
 BAND_BYTES = 32 << 20
 NONE, ZIP = 0, 3
+#: Bytes copied at once.
+_COPY = 4 << 20
+#: The module's names for what it reads, which would tell a person nothing.
+_AT = re.compile(r"<python_buffer>:? ?|'?/proc/self/fd/\d+'?:? ?")
 #: Compressions whose library prints remarks to C's stdout, which would show up at any later time.
 _TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 _CHANNEL_NUMBER = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
@@ -80,10 +85,6 @@ def decode_rows(
     chosen = _chunk_range(part, level, a, b)
     if part.compression == NONE and part.tiles is None and not part.sampled:
         return _plain_rows(container, part, chosen, a, b)
-    whole = (a, b) == (0, part.height) and level is part.levels[0]
-    stream = (_splice if whole or part.tiles is None else _assemble)(
-        container, part, level, chosen, a, b
-    )
     exr = module()
     if COMPRESSIONS[part.compression] != "none" and not _known(exr, part.compression):
         raise FileError(
@@ -92,11 +93,11 @@ def decode_rows(
             file=container.path,
             remedy="pip install --upgrade OpenEXR",
         )
-    with _quiet() as said:
+    with _codec_file(container, part, level, chosen, a, b) as (place, threads), _quiet() as said:
         try:
-            found = exr.File(stream, separate_channels=True, num_threads=os.cpu_count() or 1).parts
+            found = exr.File(place, separate_channels=True, num_threads=threads).parts
         except Exception as error:  # the module raises many kinds; all mean the same here
-            found, reason = [], str(error)
+            found, reason = [], _AT.sub("", str(error))
         else:
             reason = ""
         if not found or COMPRESSIONS[part.compression] in _TALKATIVE:
@@ -135,74 +136,89 @@ def _plain_rows(container: Container, part: PartHeader, chosen: slice, a: int, b
     if (size != row).any():
         container.damaged("a row has not the size that its channels need", layer=_name(part))
     stride = chunks.lead + row
-    if (np.diff(start) == stride).all():
-        block = np.frombuffer(container.read(int(start[0]), stride * len(start)), np.uint8)
-        block = block.reshape(len(start), stride)[:, chunks.lead :]
-    else:
-        pieces = [container.read(int(s) + chunks.lead, row) for s in start]
-        block = np.frombuffer(b"".join(pieces), np.uint8).reshape(len(start), row)
-    found: Arrays = {}
-    at = 0
-    for channel in part.channels:
-        end = at + part.width * channel.dtype.itemsize
-        found[channel.name] = np.ascontiguousarray(block[:, at:end]).view(channel.dtype)
-        at = end
+    in_order = bool((np.diff(start) == stride).all())
+    found = {c.name: np.empty((len(start), part.width), c.dtype) for c in part.channels}
+    step = max(1, _COPY // stride)
+    for top in range(0, len(start), step):
+        some = start[top : top + step]
+        if in_order:
+            raw = container.read(int(some[0]), stride * len(some))
+        else:
+            raw = b"".join([container.read(int(s), stride) for s in some])
+        block = np.frombuffer(raw, np.uint8).reshape(len(some), stride)
+        at = chunks.lead
+        for channel in part.channels:
+            end = at + part.width * channel.dtype.itemsize
+            found[channel.name][top : top + step].view(np.uint8)[...] = block[:, at:end]
+            at = end
     return found
 
 
-class _Splice:
-    """A stream: a header made by us, then the file itself, shifted behind it."""
-
-    def __init__(self, head: bytes, container: Container) -> None:
-        self.head, self.container = head, container
-        self.size = len(head) + container.size
-        self.at = 0
-
-    def read(self, count: int = -1) -> bytes:
-        count = min(count, self.size - self.at) if count >= 0 else self.size - self.at
-        at, self.at = self.at, self.at + count
-        shift = len(self.head)
-        if at >= shift:
-            return self.container.read(at - shift, count)
-        piece = self.head[at : at + count]
-        return piece + self.container.read(0, count - len(piece))
-
-    def seek(self, at: int, whence: int = 0) -> int:
-        self.at = at + (0, self.at, self.size)[whence]
-        return self.at
-
-    def tell(self) -> int:
-        return self.at
-
-
-def _splice(
+@contextmanager
+def _codec_file(
     container: Container, part: PartHeader, level: Level, chosen: slice, a: int, b: int
-) -> Any:
+) -> Iterator[tuple[Any, int]]:
+    """The chunks of a band or level as an EXR of their own: what to open, with how many threads.
+
+    On Linux a file in memory, which C code reads by itself; elsewhere a stream, on which threads
+    would only wait for Python's lock.
+    """
+    head, pieces = _codec_pieces(container, part, level, chosen, a, b)
+    descriptor = _memory_file()
+    if descriptor is None:
+        yield io.BytesIO(b"".join([head, *pieces])), 0
+        return
+    try:
+        with os.fdopen(descriptor, "wb", buffering=1 << 16) as out:
+            out.write(head)
+            for piece in pieces:
+                out.write(piece)
+            out.flush()
+            yield f"/proc/self/fd/{descriptor}", os.cpu_count() or 1
+    except OSError as error:
+        raise FileError(f"no memory to decode it: {error}", file=container.path) from error
+
+
+def _memory_file() -> int | None:
+    """A file in memory that can be opened by the name ``/proc/self/fd/N``, if there is such."""
+    if hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd"):
+        with suppress(OSError):
+            return os.memfd_create("lambent")
+    return None
+
+
+def _codec_pieces(
+    container: Container, part: PartHeader, level: Level, chosen: slice, a: int, b: int
+) -> tuple[bytes, Iterator[bytes]]:
+    """Header with offset table, and the chunks; tiles are counted from the band's own corner."""
     chunks = container.chunks[part.index]
+    start, size = chunks.start[chosen], chunks.size[chosen]
     skip = 4 if container.multipart else 0
+    lead = chunks.lead - skip
+    moved = part.tiles is not None and chosen.start > 0
     head = _codec_header(part, level, a, b)
-    shift = len(head) + 8 * (chosen.stop - chosen.start)
-    return _Splice(head + (chunks.start[chosen] + skip + shift).astype("<u8").tobytes(), container)
+    first = len(head) + 8 * len(start)
+    length = size + lead
+    span = int(start[-1] + chunks.lead + size[-1] - start[0])
+    gap = span - int(size.sum()) - chunks.lead * len(start)
+    if not moved and gap == 0 and (np.diff(start) > 0).all():
+        # All in one piece, in order: copied as it lies, part numbers included.
+        table = first + (start - start[0]) + skip
+        whole = (container.read(int(start[0]) + n, min(_COPY, span - n))
+                 for n in range(0, span, _COPY))  # fmt: skip
+        return head + table.astype("<u8").tobytes(), whole
+    table = first + np.concatenate([[0], np.cumsum(length)[:-1]])
+    columns = -(-level.width // part.tiles.width) if part.tiles else 1
 
+    def each() -> Iterator[bytes]:
+        for n, (at, count) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            if moved:
+                yield struct.pack("<5i", n % columns, n // columns, 0, 0, count)
+                yield container.read(at + chunks.lead, count)
+            else:
+                yield container.read(at + skip, lead + count)
 
-def _assemble(
-    container: Container, part: PartHeader, level: Level, chosen: slice, a: int, b: int
-) -> io.BytesIO:
-    """Tiles of a band or level with their coordinates counted from its own corner."""
-    assert part.tiles is not None
-    chunks = container.chunks[part.index]
-    columns = -(-level.width // part.tiles.width)
-    head = _codec_header(part, level, a, b)
-    at = len(head) + 8 * (chosen.stop - chosen.start)
-    table, pieces = [], []
-    for n, (start, size) in enumerate(
-        zip(chunks.start[chosen].tolist(), chunks.size[chosen].tolist(), strict=True)
-    ):
-        table.append(at)
-        pieces.append(struct.pack("<5i", n % columns, n // columns, 0, 0, size))
-        pieces.append(container.read(start + chunks.lead, size))
-        at += 20 + size
-    return io.BytesIO(b"".join([head, struct.pack(f"<{len(table)}Q", *table), *pieces]))
+    return head + table.astype("<u8").tobytes(), each()
 
 
 def _safe_names(part: PartHeader) -> list[str]:
@@ -313,9 +329,15 @@ def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: in
         safe: exr.Channel(safe, np.ascontiguousarray(arrays[c.name]), 1, 1, bool(c.p_linear))
         for c, safe in zip(part.channels, _safe_names(part), strict=True)
     }
-    stream = io.BytesIO()
-    exr.File([exr.Part(header, channels, "")], num_threads=os.cpu_count() or 1).write(stream)
-    return stream.getvalue()
+    parts = [exr.Part(header, channels, "")]
+    descriptor = _memory_file()
+    if descriptor is None:
+        stream = io.BytesIO()
+        exr.File(parts, num_threads=0).write(stream)
+        return stream.getvalue()
+    with os.fdopen(descriptor, "rb") as made:
+        exr.File(parts, num_threads=os.cpu_count() or 1).write(f"/proc/self/fd/{descriptor}")
+        return made.read()
 
 
 def _pack_plain(
@@ -447,7 +469,7 @@ def _diverted(number: int, said: list[str]) -> Iterator[None]:
             for line in kept.read().splitlines(keepends=True):
                 text = line.decode("utf-8", errors="replace").strip()
                 if "EXR_ERR" in text or text.startswith("ojph "):
-                    said.append(text.replace("<python_buffer>: ", ""))
+                    said.append(_AT.sub("", text))
                 else:
                     with suppress(OSError):
                         os.write(number, line)
