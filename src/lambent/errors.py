@@ -49,7 +49,9 @@ class LambentError(Exception):
         if self.layer:
             where = f"{where}: layer '{self.layer}'" if where else f"layer '{self.layer}'"
         text = f"{where}: {self.message}" if where else self.message
-        return f"{text}\n  → {self.remedy}" if self.remedy else text
+        text = f"{text}\n  → {self.remedy}" if self.remedy else text
+        # Names in files are bytes; what is no UTF-8 there must not break the printing of a message.
+        return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 class FileError(LambentError):
