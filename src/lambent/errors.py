@@ -90,9 +90,7 @@ class UnknownNameError(OptionError):
     ``kind`` is what was asked for ("model", "role"), ``known`` the names there are.
     """
 
-    def __init__(
-        self, kind: str, name: str, known: Iterable[str], *, file: object = None
-    ) -> None:
+    def __init__(self, kind: str, name: str, known: Iterable[str], *, file: object = None) -> None:
         known = sorted(known)
         near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.5)
         listing = ", ".join(known) if known else "none"
