@@ -71,8 +71,8 @@ class NonLocalMeans(Denoiser):
         return self.radius + self.patch + MARGIN
 
     def bytes_per_pixel(self, channels: int) -> int:
-        """Planes of guide, variance, sums and one row of distances twice."""
-        return 4 * (4 * channels + 30 + 3 * (2 * self.radius + 1))
+        """Planes of guide, features, variance and sums, and of four offsets on their way."""
+        return 4 * (4 * channels + 80)
 
     def fitted(self, frame: Frame) -> Denoiser:
         """With exposure and noise level of the whole frame."""

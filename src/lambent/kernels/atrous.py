@@ -175,8 +175,7 @@ class _Wavelet:
         guide = [state.view(c) for c in range(self.channels)]
         fixed = [] if self.features is None else self.features.views()
         vp = [] if self.noise is None else self.noise.views()
-        sums = [dr.zeros(self.module.Float, self.layout.size) for _ in range(len(channels) + 1)]
-        dr.eval(sums)
+        sums = [self.module.Float(0) for _ in range(len(channels) + 1)]
         for j, vertical in enumerate(SPLINE):
             for i, horizontal in enumerate(SPLINE):
                 dx, dy = (i - 2) * step, (j - 2) * step

@@ -41,8 +41,8 @@ from lambent.kernels.window import WeightedSums
 #: and at the neighbour (lists of ``Float``; the variances are [] where the guide has none).
 Difference = Callable[[list[Any], list[Any], list[Any], list[Any], list[Any]], Any]
 
-#: Offsets that go through one launch of each kernel.
-_BATCH = 11
+#: Offsets that go through one launch of each kernel: few, so that their planes stay in the cache.
+_BATCH = 4
 
 
 def squared_difference(
