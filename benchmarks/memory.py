@@ -96,7 +96,7 @@ def sequence_table(model: str, frames: int = 100) -> None:
     """Item 3: the process is watched from outside while it writes the frames."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        procedural_frame(folder / "first.exr", 960, 540)
+        procedural_frame(folder / "first.exr", 640, 360)
         for number in range(1, frames + 1):
             shutil.copy(folder / "first.exr", folder / f"shot.{number:04d}.exr")
         process = subprocess.Popen(
@@ -119,7 +119,7 @@ def sequence_table(model: str, frames: int = 100) -> None:
         watch.join()
         wall = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
-    print(f"\n| 960x540, {frames} frames, {model} | resident after |")
+    print(f"\n| 640x360, {frames} frames, {model} | resident after |")
     print("|---|---:|")
     for number in (10, 25, 50, 75, frames - 1):
         near = min(resident, key=lambda n: abs(n - number))

@@ -254,7 +254,7 @@ def _run_many(
 
     if len(sources) == 1:
         jobs, missing = sequence.find_jobs(sources[0], frames, output)
-        what = sources[0]
+        what = Path(sources[0]).name or sources[0]
     else:
         jobs, missing = sequence.listed_jobs(sources, output), ()
         what = f"{len(sources)} files"
