@@ -28,7 +28,8 @@ def answer(path: str) -> str:
             for layer in frame.all_layers():
                 _ = layer.data
     except LambentError as error:
-        return f"refused: {type(error).__name__} {error}".replace("\n", " ")
+        # One line, whatever the file's names hold.
+        return " ".join(f"refused: {type(error).__name__} {error}".splitlines())
     except BaseException:
         return "bug: " + json.dumps(traceback.format_exc())
     return "ok"
