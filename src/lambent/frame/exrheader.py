@@ -239,7 +239,8 @@ class Container:
         return piece
 
     def damaged(self, what: str, layer: str | None = None) -> NoReturn:
-        """Raise `DamagedFileError` with the file's name."""
+        """Raise `DamagedFileError` with the file's name; unprintable letters are made visible."""
+        what = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in what)
         raise DamagedFileError(what, file=self.path, layer=layer, remedy=REMEDY)
 
     def _tables(self, cursor: _Cursor) -> tuple[Chunks, ...]:

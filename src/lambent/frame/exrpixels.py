@@ -36,6 +36,8 @@ BAND_BYTES = 32 << 20
 NONE, ZIP = 0, 3
 #: Bytes copied at once.
 _COPY = 4 << 20
+#: Compressions that unpack at the speed of memory.
+_QUICK = ("none", "rle", "zstd")
 #: The module's names for what it reads, which would tell a person nothing.
 _AT = re.compile(r"<python_buffer>:? ?|'?/proc/self/fd/\d+'?:? ?")
 #: Compressions whose library prints remarks to C's stdout, which would show up at any later time.
@@ -160,11 +162,12 @@ def _codec_file(
 ) -> Iterator[tuple[Any, int]]:
     """The chunks of a band or level as an EXR of their own: what to open, with how many threads.
 
-    On Linux a file in memory, which C code reads by itself; elsewhere a stream, on which threads
-    would only wait for Python's lock.
+    On Linux a file in memory, which C code reads by itself; elsewhere, and where unpacking costs
+    no more than such a file, a stream, on which threads would only wait for Python's lock.
     """
     head, pieces = _codec_pieces(container, part, level, chosen, a, b)
-    descriptor = _memory_file()
+    quick = COMPRESSIONS[part.compression] in _QUICK
+    descriptor = None if quick else _memory_file()
     if descriptor is None:
         yield io.BytesIO(b"".join([head, *pieces])), 0
         return
