@@ -1,5 +1,7 @@
 """Planes: a view at an offset is the neighbour, and nothing lies outside the image."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,18 @@ def test_views_are_neighbours():
         for dx in range(-3, 4):
             found = to_image(planes.views(dx, dy), layout)
             assert (found == padded[3 + dy : 8 + dy, 3 + dx : 10 + dx]).all()
+
+
+def test_without_mapped_memory_views_are_gathered():
+    """The way of CUDA, here on the processor: the same answers."""
+    real = backend()
+    module = SimpleNamespace(__name__="drjit.cuda", Float=real.Float, UInt32=real.UInt32)
+    image = np.random.default_rng(0).random((5, 7, 2), dtype=np.float32)
+    layout = Layout(5, 7, 3)
+    mapped, gathered = Planes.of(image, layout, real), Planes.of(image, layout, module)
+    for dx, dy, extend in ((0, 0, 0), (-3, 2, 0), (1, -1, 2)):
+        for a, b in zip(mapped.views(dx, dy, extend), gathered.views(dx, dy, extend), strict=True):
+            assert (a.numpy() == b.numpy()).all()
 
 
 def test_rows_start_on_a_vector_boundary():
