@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lambent.errors import OptionError
 from lambent.filters.denoiser import create
 from lambent.filters.nfor import NFOR, box_mean, spatial_variance
 from lambent.frame.frame import Frame
@@ -131,5 +132,9 @@ def test_one_pixel():
     np.testing.assert_allclose(NFOR()(frame).colour, 0.25, rtol=1e-6)
 
 
-def test_by_name():
+def test_options():
     assert create("nfor", radius="5").radius == 5
+    with pytest.raises(OptionError, match="stride"):
+        create("nfor", stride="0")
+    with pytest.raises(OptionError, match="radius"):
+        create("nfor", radius="0")

@@ -66,7 +66,7 @@ def noisy():
     image = (features @ rng.random((2, 3)) + 0.2 * rng.standard_normal((height, width, 3))).astype(
         np.float32
     )
-    variance = np.full((height, width, 3), 0.04, np.float32)
+    variance = (0.02 + 0.04 * rng.random((height, width, 3))).astype(np.float32)
     return features, image, variance
 
 
