@@ -21,7 +21,7 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "seconds": ("seconds", "{:.2f}"),
     "megabytes": ("peak MB", "{:.0f}"),
 }
+#: Scenes that stand in the table by scene only: made for one filter (``benchmarks/shadows.py``).
+APART = ("soft-shadow",)
 #: What is known from the papers: the first has the lower error. The papers leave out the worst
 #: 0.1 % of the pixels.
 KNOWN_ORDER = (("nfor", "nlm"), ("statmc", "nlm"), ("nlm", "atrous"))
@@ -98,30 +100,32 @@ def measured(image: Any, reference_path: Path) -> Row:
     }
 
 
-def run(
-    models: Iterable[str], paths: list[Path], memory: bool, say: Callable[[str], None]
-) -> list[Row]:
-    """The rows of all models, each from a process of its own."""
-    rows: list[Row] = []
-    here = Path(__file__).resolve()
-    for model in models:
-        command = [sys.executable, str(here), "--worker", model, *map(str, paths)]
-        if not memory:
-            command.append("--no-memory")
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-        found = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-        for path in paths[len(found) :]:
-            found.append({"model": model, "scene": path.stem, "failed": f"exit {done.returncode}"})
-        problems = {r.get("failed") or r.get("lacks") for r in found} - {None}
-        say(f"{model}: {len(found)} frames" + "".join(f"\n    {p}" for p in sorted(problems)))
-        rows += found
+def run(model: str, paths: list[Path], memory: bool) -> list[Row]:
+    """The rows of one model, from a process of its own; problems go to standard error."""
+    command = [sys.executable, str(Path(__file__).resolve()), "--worker", model, *map(str, paths)]
+    if not memory:
+        command.append("--no-memory")
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    for path in paths[len(rows) :]:
+        rows.append({"model": model, "scene": path.stem, "failed": f"exit {done.returncode}"})
+    problems = {r.get("failed") or r.get("lacks") for r in rows} - {None}
+    told = "".join(f"\n    {p}" for p in sorted(problems))
+    print(f"{model}: {len(rows)} frames{told}", file=sys.stderr, flush=True)
+    return rows
+
+
+def with_gain(rows: list[Row]) -> list[Row]:
+    """The rows with how many times the error was lowered, where the noisy frame's is known."""
     noisy = {
         (r["scene"], r["spp"]): r["relmse"] for r in rows if r["model"] == NOISY and "relmse" in r
     }
-    for row in rows:
-        if "relmse" in row and (row["scene"], row["spp"]) in noisy:
-            row["gain"] = noisy[row["scene"], row["spp"]] / row["relmse"]
-    return rows
+    return [
+        {**r, "gain": noisy[r["scene"], r["spp"]] / r["relmse"]}
+        if "relmse" in r and (r["scene"], r["spp"]) in noisy
+        else r
+        for r in rows
+    ]
 
 
 # ---------------------------------------------------------------------- tables
@@ -137,7 +141,7 @@ def geometric_mean(values: Iterable[float]) -> float:
 
 def means(rows: list[Row], spp: int) -> dict[str, Row]:
     """Model -> geometric means over the scenes at one spp, for models that did all scenes."""
-    here = [r for r in rows if r.get("spp") == spp and "relmse" in r]
+    here = [r for r in rows if r.get("spp") == spp and "relmse" in r and r["scene"] not in APART]
     scenes = {r["scene"] for r in here}
     result = {}
     for model in dict.fromkeys(r["model"] for r in here):
@@ -168,7 +172,8 @@ def markdown(rows: list[Row], about: Row) -> str:
         table = means(rows, spp)
         order = sorted(table, key=lambda m: table[m].get("relmse", math.inf))
         lines = [[f"`{m}`", *_cells(table[m])] for m in order]
-        parts.append(f"## {spp} spp, geometric means over {len(scenes)} scenes")
+        count = len({r["scene"] for r in done if r["spp"] == spp} - set(APART))
+        parts.append(f"## {spp} spp, geometric means over {count} scenes")
         parts.append(markdown_table(["model", *(t for t, _ in COLUMNS.values())], lines))
         parts.append("\n".join(f"- {line}" for line in order_remarks(table)))
     parts.append("## relMSE lowered, by scene and spp (noisy ÷ filtered)")
@@ -238,20 +243,22 @@ def main() -> None:
     if not paths:
         sys.exit(f"no frames in {cache}: make them with benchmarks/frames.py")
     models = [m for m in arguments.models.split(",") if m] or list(DENOISERS)
-    rows = run(
-        [NOISY, *models], paths, not arguments.no_memory, lambda t: print(t, file=sys.stderr)
-    )
-    about = {
-        "machine": machine(),
-        "lambent": lambent.__version__,
-        "reference_spp": {r["scene"]: r["reference_spp"] for r in rows if "reference_spp" in r},
-    }
-    text = markdown(rows, about)
+    rows: list[Row] = []
+    text = ""
+    for model in [NOISY, *models]:
+        rows = with_gain(rows + run(model, paths, not arguments.no_memory))
+        about = {
+            "machine": machine(),
+            "lambent": lambent.__version__,
+            "reference_spp": {r["scene"]: r["reference_spp"] for r in rows if "reference_spp" in r},
+        }
+        text = markdown(rows, about)
+        if arguments.out:  # after every model, so that a stopped run leaves what it has
+            arguments.out.parent.mkdir(parents=True, exist_ok=True)
+            arguments.out.with_suffix(".md").write_text(text)
+            both = json.dumps({**about, "rows": rows}, indent=1)
+            arguments.out.with_suffix(".json").write_text(both)
     print(text)
-    if arguments.out:
-        arguments.out.parent.mkdir(parents=True, exist_ok=True)
-        arguments.out.with_suffix(".md").write_text(text)
-        arguments.out.with_suffix(".json").write_text(json.dumps({**about, "rows": rows}, indent=1))
 
 
 if __name__ == "__main__":

@@ -36,7 +36,9 @@ GAP, CAPTION = 6, 26
 PAPER, INK = (250, 249, 246), (40, 42, 46)
 
 #: Details of the still life: left, top, width, height.
-DETAILS = ((84, 186, 132, 96), (0, 6, 132, 96))
+DETAILS = ((96, 194, 112, 84), (12, 10, 112, 84))
+#: Details of the soft shadow (``benchmarks/shadows.py``), for filters that need its layers.
+SHADOW_DETAILS = ((60, 150, 112, 84), (290, 160, 112, 84))
 SHEET_DETAIL = (186, 140, 132, 100)
 #: Details of benchmark scenes that are in the public domain (CC0).
 SCENES = {
@@ -132,8 +134,18 @@ def still_life(cache: Path, spp: int) -> tuple[Frame, Frame]:
     return read(EXAMPLE / "noisy.exr"), read(EXAMPLE / "reference.exr")
 
 
-def filters(models: list[str], frame: Frame, truth: Frame) -> None:
+def strip(model: str, image: NDArray[Any], frame: Frame, truth: Frame, details: Any) -> None:
+    """The picture of one filter: details noisy, filtered, and in the reference."""
+    exposure = auto_exposure(truth.colour)
+    shown = (frame.colour, image, truth.colour)
+    rows = [[cut(i, d, exposure, 3) for i in shown] for d in details]
+    words = [f"noisy, {frame.spp} spp", model, f"reference, {truth.spp} spp"]
+    save(sheet(rows, [["", "", ""], words]), OUT / f"filter_{model}.jpg")
+
+
+def filters(models: list[str], cache: Path, spp: int) -> None:
     """A strip for every model, and the sheet of all."""
+    frame, truth = still_life(cache, spp)
     exposure = auto_exposure(truth.colour)
     tiles, names = [], []
 
@@ -145,14 +157,14 @@ def filters(models: list[str], frame: Frame, truth: Frame) -> None:
     add(f"{frame.spp} spp", frame.colour)
     for model in models:
         image = filtered(model, frame)
-        if image is None:
-            continue
-        add(model, image)
-        rows = [
-            [cut(i, d, exposure, 3) for i in (frame.colour, image, truth.colour)] for d in DETAILS
-        ]
-        words = [f"noisy, {frame.spp} spp", model, f"reference, {truth.spp} spp"]
-        save(sheet(rows, [["", "", ""], words]), OUT / f"filter_{model}.jpg")
+        if image is not None:
+            add(model, image)
+            strip(model, image, frame, truth, DETAILS)
+        elif (path := cache / f"soft-shadow-{spp}spp.exr").exists():
+            shadow, sharp = read(path), read(cache / "soft-shadow-reference.exr")
+            image = filtered(model, shadow)
+            if image is not None:
+                strip(model, image, shadow, sharp, SHADOW_DETAILS)
     add("reference", truth.colour)
     columns = 4
     rows = [tiles[k : k + columns] for k in range(0, len(tiles), columns)]
@@ -189,8 +201,8 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=16)
     arguments = parser.parse_args()
     before_after()
-    frame, truth = still_life(arguments.cache, arguments.spp)
-    filters([m for m in arguments.models.split(",") if m] or list(DENOISERS), frame, truth)
+    models = [m for m in arguments.models.split(",") if m] or list(DENOISERS)
+    filters(models, arguments.cache, arguments.spp)
     scenes(arguments.cache, arguments.spp)
 
 
