@@ -43,7 +43,7 @@ class ATrous(Denoiser):
     """σ of log colour on the first level, and of the features of `lambent.filters.features`."""
 
     levels: int = 5
-    sigma_colour: float = 2.0
+    sigma_colour: float = 3.0
     sigma_normal: float = 0.35
     sigma_depth: float = 0.1
     sigma_position: float = 0.05
