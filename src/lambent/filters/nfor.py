@@ -24,8 +24,8 @@ Where we depart from the paper (and its public implementation in the Tungsten re
   (3x3 patches); features are filtered once, from their mean and variance, not crosswise twice.
 - The normal equations are solved by Cholesky with a small ridge; the paper uses QR.
 - Every colour variance is averaged over 3x3 pixels first. At 16 spp (three scenes) that lowered the
-  error by 4 to 12 %; the one operator for all layers cost nothing there; a stride of 2 cost up
-  to 6 % (relMSE without the worst pixels), one of 4 up to 35 %.
+  error by 7 to 16 %; the one operator for all layers cost nothing there; a stride of 2 cost up
+  to 20 % (relMSE without the worst pixels), one of 4 up to 35 %.
 - *Without half buffers*: weights come from the image itself, and the error is SURE: the residual,
   with the divergence measured by one random probe (Ramani et al. 2008, "Monte-Carlo SURE").
 - *Without any variance*: it is estimated from second differences (Immerkær 1996, "Fast Noise
