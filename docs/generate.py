@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ def everything(folder: Path) -> None:
         _write(folder / "filters" / f"{name}.md", page)
     _write(folder / "filters.md", filter_table())
     _write(folder / "dialects.md", dialects())
+    _write(folder / "metrics.md", metrics())
 
 
 def _write(path: Path, text: str) -> None:
@@ -181,4 +183,23 @@ def dialects() -> str:
             pattern = rule.pattern.replace("|", "\\|")
             out.append(f"| `{pattern}` | {role} | {_cell(rule.what)} |")
         out.append("")
+    return "\n".join(out)
+
+
+# ------------------------------------------------------------------- metrics
+
+
+def metrics() -> str:
+    """The definition of every metric, as its module states it."""
+    from lambent.metrics.metric import METRICS
+
+    out: list[str] = []
+    seen: dict[str, list[str]] = {}
+    for name in METRICS:
+        seen.setdefault(METRICS.where(name).partition(":")[0], []).append(name)
+    for module, names in seen.items():
+        __import__(module)
+        title = ", ".join(f"`{n}`" for n in names)
+        doc = textwrap.dedent(inspect.getdoc(sys.modules[module]) or "").strip()
+        out += [f"### {title}", "", "```text", doc, "```", ""]
     return "\n".join(out)
