@@ -17,15 +17,16 @@ release = lambent.__version__
 version = release
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "results/*.json", "filters/*", "_generated/dialects.md", "_generated/metrics.md"]
+exclude_patterns = ["_build", "filters/*", "_generated/dialects.md", "_generated/metrics.md"]
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 html_theme = "furo"
 html_title = "Lambent"
-html_static_path = []
+html_static_path = ["_static"]
+html_css_files = ["lambent.css"]
 html_theme_options = {"sidebar_hide_name": False}
 nitpicky = False
 

@@ -10,6 +10,7 @@ import inspect
 import os
 import sys
 import textwrap
+import typing
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,6 @@ def commands() -> str:
     root = root_command()
     context = root.context_class(root, info_name="lambent")
     out = ["# Commands", "", _prose(root.help), ""]
-    out += ["```{contents}", ":local:", ":depth: 1", "```", ""]
     for name in root.list_commands(context):
         command = root.get_command(context, name)
         assert command is not None
@@ -141,27 +141,32 @@ def filters() -> list[tuple[str, str]]:
         out += [f"| needs | {', '.join(about.needs).replace('|', ' or ')} |"]
         out += [f"| can use | {', '.join(about.uses) or 'nothing else'} |"]
         out += [f"| cost | {about.cost} |"]
-        linear = "yes: lighting layers get the same weights and still sum, and `lambent explain` works"
+        linear = (
+            "yes: lighting layers get the same weights and still sum; `lambent explain` shows them"
+        )
         out += [f"| weighted average | {linear if about.linear else 'no'} |", ""]
         known = parameters(name)
         if known:
-            out += ["## Parameters", "", "Set with `--set name=value`, or as keyword arguments.", ""]
+            out += ["## Parameters", "", "`--set name=value`, or keyword arguments.", ""]
             out += ["| parameter | type | default |", "| --- | --- | --- |"]
             out += [f"| `{p}` | {_type(t)} | `{d}` |" for p, (t, d) in known.items()]
             out += [""]
-        out += ["## How it works", "", "```text"]
+        out += ["## How it works", "", "```{code-block} text", ":class: prose", ""]
         module = inspect.getmodule(kind)
         out += [textwrap.dedent(inspect.getdoc(module) or "").strip(), "```", ""]
         if kind.__doc__:
-            out += ["## The class", "", f"`{kind.__module__}.{kind.__qualname__}`", "", "```text"]
+            out += ["## The class", "", f"`{kind.__module__}.{kind.__qualname__}`", ""]
+            out += ["```{code-block} text", ":class: prose", ""]
             out += [inspect.cleandoc(kind.__doc__), "```", ""]
         pages.append((name, "\n".join(out)))
     return pages
 
 
 def _type(kind: Any) -> str:
-    text = getattr(kind, "__name__", None) if isinstance(kind, type) else str(kind)
-    return "`" + str(text).replace("typing.", "").replace("|", "or") + "`"
+    if typing.get_origin(kind) is typing.Literal:
+        return " or ".join(f"`{choice}`" for choice in typing.get_args(kind))
+    text = kind.__name__ if isinstance(kind, type) else str(kind).replace("typing.", "")
+    return f"`{text}`".replace("|", "or")
 
 
 # ------------------------------------------------------------------ dialects
@@ -201,5 +206,5 @@ def metrics() -> str:
         __import__(module)
         title = ", ".join(f"`{n}`" for n in names)
         doc = textwrap.dedent(inspect.getdoc(sys.modules[module]) or "").strip()
-        out += [f"### {title}", "", "```text", doc, "```", ""]
+        out += [f"### {title}", "", "```{code-block} text", ":class: prose", "", doc, "```", ""]
     return "\n".join(out)
