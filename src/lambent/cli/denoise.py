@@ -154,10 +154,8 @@ def _run_one(
             f"--frames {frames} is for sequences, and {source} is one file",
             remedy="give the input as a pattern, such as shot.####.exr",
         )
-    target = files.default_output(source) if output is None else Path(output)
-    if target.is_dir() and not source.is_dir():
-        target = target / source.name
-    files.check_output(source, target, overwrite or dry_run)
+    target = files.output_for(source, output)
+    files.check_output(source, target, overwrite or dry_run, folder=output)
     extras.check(target, overwrite or dry_run)
     if dry_run:
         plan = files.outline(source, target, settings)

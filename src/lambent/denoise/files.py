@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -91,6 +92,33 @@ def default_output(source: Path) -> Path:
     return source.with_name(f"{source.stem}{SUFFIX}{source.suffix}")
 
 
+def output_for(source: Path, output: str | Path | None) -> Path:
+    """Where the result of one file goes: ``output``, or the input's name in it if a directory.
+
+    A name that ends in a slash, or has no ending at all, means a directory.
+    """
+    if output is None:
+        return default_output(source)
+    target = Path(output)
+    if str(output).endswith(("/", os.sep)) or target.is_dir() or not target.suffix:
+        return target / source.name
+    return target
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output directory of which only the last part is missing."""
+    if folder.exists() or not folder.parent.is_dir():
+        return
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"this directory cannot be made: {error.strerror}",
+            file=folder,
+            remedy="choose another with -o",
+        ) from error
+
+
 def denoise_file(
     source: str | Path,
     output: str | Path | None = None,
@@ -108,8 +136,8 @@ def denoise_file(
     """
     settings = settings or Settings.checked(**options)
     source = Path(source)
-    target = default_output(source) if output is None else Path(output)
-    check_output(source, target, overwrite)
+    target = output_for(source, output)
+    check_output(source, target, overwrite, folder=output)
     if progress is not None:
         progress(0, 1, "reading")
     return save(process(load(source, settings), settings, progress), target, settings, overwrite)
@@ -159,6 +187,7 @@ def save(processed: Processed, output: Path, settings: Settings, overwrite: bool
     from lambent.frame.files import write_noted, write_views_noted
 
     start = time.perf_counter()
+    make_folder(output.parent)
     attributes = {STAMP: stamp(settings)}
     if len(processed.views) == 1:
         frame = next(iter(processed.views.values()))
@@ -183,8 +212,16 @@ def stamp(settings: Settings) -> str:
     return json.dumps(settings.key(), sort_keys=True)
 
 
-def check_output(source: Path, output: Path, overwrite: bool) -> None:
-    """Refuse an output that cannot or must not be written, before any work is done."""
+def check_output(
+    source: Path, output: Path, overwrite: bool, folder: str | Path | None = None
+) -> None:
+    """Refuse an output that cannot or must not be written, before any work is done.
+
+    ``folder``: what the user gave; where that names a directory (see `output_for`), `save` will
+    make it.
+    """
+    from lambent.frame.files import check_ending
+
     if not source.exists():
         raise FileError(
             "there is no such file", file=source, remedy="check the path; quote names with spaces"
@@ -195,6 +232,7 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
             file=output,
             remedy=f"name a file in it: -o {output / default_output(source).name}",
         )
+    check_ending(output)
     if overwrite and output.exists():
         return
     if output.exists():
@@ -204,12 +242,14 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
             file=output,
             remedy="write elsewhere with -o NAME, or allow it with --overwrite",
         )
-    folder = output.parent
-    if not folder.is_dir():
+    parent = output.parent
+    if folder is not None and Path(folder) == parent and not parent.exists():
+        parent = parent.parent
+    if not parent.is_dir():
         raise OutputError(
-            "is no directory" if folder.exists() else "this directory does not exist",
-            file=folder,
-            remedy=f"mkdir -p '{folder}'" if not folder.exists() else "choose another with -o",
+            "is no directory" if parent.exists() else "this directory does not exist",
+            file=parent,
+            remedy=f"mkdir -p '{parent}'" if not parent.exists() else "choose another with -o",
         )
 
 

@@ -29,6 +29,7 @@ from lambent.denoise.files import (
     Result,
     default_output,
     load,
+    make_folder,
     process,
     save,
 )
@@ -217,15 +218,7 @@ def denoise_sequence(
 def make_folders(jobs: Sequence[Job]) -> None:
     """Make the output folder of a sequence where only its last part is missing."""
     for folder in dict.fromkeys(job.output.parent for job in jobs):
-        if not folder.exists() and folder.parent.is_dir():
-            try:
-                folder.mkdir(exist_ok=True)
-            except OSError as error:
-                raise OutputError(
-                    f"this directory cannot be made: {error.strerror}",
-                    file=folder,
-                    remedy="choose another with -o",
-                ) from error
+        make_folder(folder)
 
 
 def run_jobs(

@@ -268,6 +268,11 @@ def _kind(path: Path) -> str:
     return found[0]
 
 
+def check_ending(path: str | os.PathLike[str]) -> None:
+    """Raise `OutputError` for an output whose ending says no format that can be written."""
+    _target_kind(path)
+
+
 def _target_kind(path: str | os.PathLike[str]) -> str:
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
