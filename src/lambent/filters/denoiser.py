@@ -272,8 +272,16 @@ def _convert(model: str, name: str, value: Any, wanted: Any) -> Any:
                 )
             return text
         if wanted is bool:
-            return {"1": True, "true": True, "yes": True, "on": True,
-                    "0": False, "false": False, "no": False, "off": False}[text.lower()]
+            return {
+                "1": True,
+                "true": True,
+                "yes": True,
+                "on": True,
+                "0": False,
+                "false": False,
+                "no": False,
+                "off": False,
+            }[text.lower()]
         if wanted in (int, float):
             return wanted(text)
     except (KeyError, ValueError):
@@ -286,8 +294,4 @@ def _convert(model: str, name: str, value: Any, wanted: Any) -> Any:
 
 def guides(frame: Frame) -> list[Layer]:
     """The feature layers of a frame that filters may look at (means), in order of `Role`."""
-    return [
-        layer
-        for role in Role
-        if INFO[role].guide and (layer := frame.layer(role)) is not None
-    ]
+    return [layer for role in Role if INFO[role].guide and (layer := frame.layer(role)) is not None]
