@@ -3,9 +3,10 @@
     python benchmarks/filters.py [--cache DIR] [--models nlm,nfor] [--scenes a,b] [--spp 4,16]
                                  [--no-memory] [--out docs/results/filters]
 
-A model runs in a process of its own over all frames; every frame is filtered twice and the second
-call is timed, so that compiling does not count. Peak memory is the largest resident size of that
-process after its first frame, before any metric is loaded. relMSE is as in `lambent.metrics.relmse`
+A model runs in a process of its own over all frames, alone on the machine; every frame is filtered
+twice and the second call is timed, so that compiling does not count. Peak memory is the largest
+resident size of that process after its first frame. Errors are measured afterwards, on all cores
+(HDR-FLIP takes longer than any filter here). relMSE is as in `lambent.metrics.relmse`
 with the variance of the reference subtracted. Means over scenes are geometric. Prints Markdown
 and, with ``--out``, writes it to OUT.md and all single figures to OUT.json.
 """
@@ -20,8 +21,11 @@ import platform
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +54,13 @@ KNOWN_ORDER = (("nfor", "nlm"), ("statmc", "nlm"), ("nlm", "atrous"))
 # ---------------------------------------------------------------------- worker
 
 
-def work(model: str, paths: list[Path], memory: bool) -> None:
-    """Filter every frame with one model; one line of JSON for each on standard output."""
+def work(model: str, paths: list[Path], memory: bool, results: Path) -> None:
+    """Filter every frame with one model; one line of JSON for each on standard output.
+
+    The filtered beauty is left in ``results`` as ``MODEL-FRAME.npy``.
+    """
+    import numpy as np
+
     from lambent.errors import LambentError, LayerError
     from lambent.filters.denoiser import create
     from lambent.frame.files import read
@@ -73,12 +82,25 @@ def work(model: str, paths: list[Path], memory: bool) -> None:
                 if memory and megabytes is None:
                     megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
                 row["megabytes"] = megabytes
-            row |= measured(result.colour, path.with_name(f"{scene}-reference.exr"))
+            kept = results / f"{model}-{path.stem}.npy"
+            np.save(kept, result.colour)
+            row["result"] = str(kept)
         except LayerError as error:
             row["lacks"] = error.message
         except (LambentError, ImportError, RuntimeError, ValueError, TypeError) as error:
             row["failed"] = f"{type(error).__name__}: {error}"
         print(json.dumps(row), flush=True)
+
+
+def with_errors(row: Row, cache: Path) -> Row:
+    """A row with the errors of its result, in place of the path to it."""
+    import numpy as np
+
+    if "result" not in row:
+        return row
+    image = np.load(row["result"])
+    rest = {key: value for key, value in row.items() if key != "result"}
+    return rest | measured(image, cache / f"{row['scene']}-reference.exr")
 
 
 def measured(image: Any, reference_path: Path) -> Row:
@@ -100,9 +122,10 @@ def measured(image: Any, reference_path: Path) -> Row:
     }
 
 
-def run(model: str, paths: list[Path], memory: bool) -> list[Row]:
+def run(model: str, paths: list[Path], memory: bool, results: Path) -> list[Row]:
     """The rows of one model, from a process of its own; problems go to standard error."""
     command = [sys.executable, str(Path(__file__).resolve()), "--worker", model, *map(str, paths)]
+    command += ["--results", str(results)]
     if not memory:
         command.append("--no-memory")
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
@@ -221,6 +244,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("frames", nargs="*", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--worker", help=argparse.SUPPRESS)
+    parser.add_argument("--results", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--cache", type=Path, default=default_cache())
     parser.add_argument("--models", default="", help="names; default all")
     parser.add_argument("--scenes", default="", help="names; default all with a reference")
@@ -229,7 +253,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="path without suffix for .md and .json")
     arguments = parser.parse_args()
     if arguments.worker:
-        work(arguments.worker, arguments.frames, not arguments.no_memory)
+        work(arguments.worker, arguments.frames, not arguments.no_memory, arguments.results)
         return
     import lambent
     from lambent.filters.denoiser import DENOISERS
@@ -243,21 +267,26 @@ def main() -> None:
     if not paths:
         sys.exit(f"no frames in {cache}: make them with benchmarks/frames.py")
     models = [m for m in arguments.models.split(",") if m] or list(DENOISERS)
-    rows: list[Row] = []
-    text = ""
-    for model in [NOISY, *models]:
-        rows = with_gain(rows + run(model, paths, not arguments.no_memory))
-        about = {
-            "machine": machine(),
-            "lambent": lambent.__version__,
-            "reference_spp": {r["scene"]: r["reference_spp"] for r in rows if "reference_spp" in r},
-        }
-        text = markdown(rows, about)
-        if arguments.out:  # after every model, so that a stopped run leaves what it has
-            arguments.out.parent.mkdir(parents=True, exist_ok=True)
-            arguments.out.with_suffix(".md").write_text(text)
-            both = json.dumps({**about, "rows": rows}, indent=1)
-            arguments.out.with_suffix(".json").write_text(both)
+    with tempfile.TemporaryDirectory(prefix="lambent-filters-") as folder:
+        rows = [
+            row
+            for model in [NOISY, *models]
+            for row in run(model, paths, not arguments.no_memory, Path(folder))
+        ]
+        print(f"measuring {len(rows)} results", file=sys.stderr, flush=True)
+        with ProcessPoolExecutor() as pool:
+            rows = with_gain(list(pool.map(partial(with_errors, cache=cache), rows)))
+    about = {
+        "machine": machine(),
+        "lambent": lambent.__version__,
+        "reference_spp": {r["scene"]: r["reference_spp"] for r in rows if "reference_spp" in r},
+    }
+    text = markdown(rows, about)
+    if arguments.out:
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        arguments.out.with_suffix(".md").write_text(text)
+        both = json.dumps({**about, "rows": rows}, indent=1)
+        arguments.out.with_suffix(".json").write_text(both)
     print(text)
 
 
