@@ -1,12 +1,12 @@
 """Edge-avoiding à-trous wavelet filter.
 
 Dammertz, Sewtz, Hanika and Lensch, "Edge-avoiding à-trous wavelet transform for fast global
-illumination filtering", HPG 2010. Five levels of a 5x5 B3 spline with holes (their equation 6),
-each tap weighted by edge-stopping functions of colour, normal, position and here also albedo,
+illumination filtering", HPG 2010. Five levels of a 5x5 B3 spline with holes, each tap weighted by
+edge-stopping functions of colour, normal, position and here also albedo,
 
     w = exp(-|c_p - c_q|²/σ_c²) · exp(-|n_p - n_q|²/σ_n²) · exp(-|x_p - x_q|²/σ_x²) …
 
-with σ_c halved on every level (section 4): as the image gets smoother, so must its edges be sharper
+with σ_c halved on every level: as the image gets smoother, so must its edges be sharper
 to count.
 
 Where we depart: colour is compared as log radiance (`lambent.filters.log_colour`), filtered from
@@ -130,6 +130,7 @@ class ATrous(Denoiser):
         }
         sigma = np.array([sigmas[n.partition(".")[0]] for n in found.names], np.float32)
         stops = found.stack / sigma
-        stops[~found.valid] = np.nan  # takes no part
+        if not found.valid.all():
+            stops[~found.valid] = np.nan  # takes no part
         noise = None if found.variance is None else found.variance / sigma**2
         return guide, stops, noise

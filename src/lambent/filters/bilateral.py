@@ -1,7 +1,6 @@
 """Bilateral filter.
 
-Tomasi and Manduchi, "Bilateral filtering for gray and color images", ICCV 1998, equations 5 and 6
-with the Gaussian case of section 2.1:
+Tomasi and Manduchi, "Bilateral filtering for gray and color images", ICCV 1998, the Gaussian case:
 
     w_pq ∝ exp(-|p - q|² / 2σ_d²) · exp(-|g_p - g_q|² / 2σ_r²)
 

@@ -1,9 +1,8 @@
 """Cross (joint) bilateral filter on the features of a frame.
 
-Eisemann and Durand, "Flash photography enhancement via intrinsic relighting", 2004 (section 4.1);
-Petschnigg et al., "Digital photography with flash and no-flash image pairs", 2004 (equation 3): the
-range weight is taken from another, cleaner image than the one that is filtered. Here that image is
-the stack of features:
+Eisemann and Durand, "Flash photography enhancement via intrinsic relighting", 2004; Petschnigg et
+al., "Digital photography with flash and no-flash image pairs", 2004: the range weight is taken from
+another, cleaner image than the one that is filtered. Here that image is the stack of features:
 
     w_pq ∝ exp(-|p - q|² / 2σ_d²) · Π_f exp(-d_f² / 2σ_f²)
 
@@ -86,7 +85,8 @@ class CrossBilateral(Denoiser):
                 spread = np.concatenate([spread, np.zeros_like(colour)], axis=2)
             guide = np.concatenate([guide, spread], axis=2)
             weight = discounted_weight
-        guide[~found.valid] = np.nan  # takes no part
+        if not found.valid.all():
+            guide[~found.valid] = np.nan  # takes no part
         return weighted_window(
             targets,
             guide,

@@ -18,12 +18,13 @@ the frame has any. All frame-wide numbers are in a `Scales`, so that a tile can 
 its whole frame.
 
 Variances are those of the pixel means. Where a layer has none but two half buffers, the variance
-is estimated as (a - b)²/4, averaged over 5x5 pixels (Rousselle et al. 2012, section 4.1, with a
-box for their smoothing).
+is estimated as (a - b)²/4, averaged over 5x5 pixels (Rousselle et al. 2012 smooth theirs as well,
+by another filter).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -55,10 +56,10 @@ class Scales:
 class Features:
     """Feature channels of a frame.
 
-    ``stack`` ``(H, W, F)`` float32, always finite. ``variance`` ``(H, W, F)`` of the pixel means in
-    the same scale (0 where a layer tells none), or None where no layer does. ``names``: one a
-    channel ("albedo.r", "depth", "miss"). ``valid`` ``(H, W)``: False where a layer held NaN or
-    an infinity that is no miss; such values are 0 in the stack.
+    ``stack`` ``(H, W, F)`` float32, always finite, plane after plane in memory. ``variance``
+    ``(H, W, F)`` of the pixel means in the same scale (0 where a layer tells none), or None where
+    no layer does. ``names``: one a channel ("albedo.r", "depth", "miss"). ``valid`` ``(H, W)``:
+    False where a layer held NaN or an infinity that is no miss; such values are 0 in the stack.
     """
 
     stack: FloatImage
@@ -105,28 +106,37 @@ def features(
                 remedy=f"take some of {', '.join(r.value for r in Role if INFO[r].guide)}",
             )
     scales = scales or fit_scales(frame)
-    shape = (frame.height, frame.width)
-    valid = np.ones(shape, bool)
     miss = miss_mask(frame)
-    stacks: list[NDArray[np.float32]] = []
-    variances: list[NDArray[np.float32] | None] = []
-    names: list[str] = []
-    for role in chosen:
-        image, variance, bad = _scaled(frame, role, scales, miss)
-        valid &= ~bad
-        stacks.append(image)
-        variances.append(variance)
-        names += channel_names(role, image.shape[2])
+    images = [frame[role] for role in chosen]
+    variances = [variance_of(frame, role) for role in chosen]
+    names = [n for r, i in zip(chosen, images, strict=True) for n in channel_names(r, i.shape[2])]
     if scales.misses and any(r in (Role.DEPTH, Role.POSITION) for r in chosen):
-        stacks.append(miss[:, :, None].astype(np.float32))
-        variances.append(None)
         names.append("miss")
-    empty = np.zeros((*shape, 0), np.float32)
-    stack = np.concatenate([empty, *stacks], axis=2)
-    if all(v is None for v in variances):
-        return Features(stack, None, tuple(names), valid)
-    known = [np.zeros_like(s) if v is None else v for s, v in zip(stacks, variances, strict=True)]
-    return Features(stack, np.concatenate([empty, *known], axis=2), tuple(names), valid)
+    # plane after plane in memory: what works on one channel, as most does, finds it in one piece
+    memory = np.zeros((len(names), frame.height, frame.width), np.float32)
+    spread = None if all(v is None for v in variances) else np.zeros_like(memory)
+    valid = np.ones(memory.shape[1:], bool)
+    first = 0
+    for role, image, variance in zip(chosen, images, variances, strict=True):
+        part = slice(first, first + image.shape[2])
+        first = part.stop
+        size = None
+        if spread is not None and variance is not None:
+            size = spread[part]
+            size[...] = variance.transpose(2, 0, 1)
+        _scale(role, image.transpose(2, 0, 1), scales, miss, memory[part], size)
+        if not np.isfinite(memory[part].sum()):
+            bad = ~np.isfinite(memory[part]).all(axis=0)
+            valid &= ~bad
+            memory[part, bad] = 0
+            if size is not None:
+                size[:, bad] = 0
+    if names and names[-1] == "miss":
+        memory[-1] = miss
+    stack = memory.transpose(1, 2, 0)
+    return Features(
+        stack, None if spread is None else spread.transpose(1, 2, 0), tuple(names), valid
+    )
 
 
 def channel_names(role: Role, count: int) -> list[str]:
@@ -163,6 +173,8 @@ def variance_of(frame: Frame, role: Role) -> FloatImage | None:
     """The variance of a role's pixel means ``(H, W, C)``: its layer, else from half buffers."""
     variance = frame.get(role, Stat.VARIANCE)
     if variance is not None:
+        if variance.size and variance.min() >= 0 and np.isfinite(variance.sum()):
+            return variance
         return np.maximum(np.nan_to_num(variance, nan=0.0, posinf=0.0, neginf=0.0), 0.0)
     a, b = frame.get(role, Stat.HALF_A), frame.get(role, Stat.HALF_B)
     if a is None or b is None:
@@ -191,32 +203,36 @@ def _mean_5x5(image: FloatImage) -> FloatImage:
     return image
 
 
-def _scaled(
-    frame: Frame, role: Role, scales: Scales, miss: NDArray[np.bool_]
-) -> tuple[FloatImage, FloatImage | None, NDArray[np.bool_]]:
-    """A role's image and variance in the scale of the table, and where it is not sound."""
-    image = frame[role]
-    variance = variance_of(frame, role)
-    if variance is not None and variance.shape[2] == 1:
-        variance = np.broadcast_to(variance, image.shape)
-    bad: NDArray[np.bool_] = np.logical_not(np.isfinite(image).all(axis=2))
+def _scale(
+    role: Role,
+    image: NDArray[np.float32],
+    scales: Scales,
+    miss: NDArray[np.bool_],
+    out: NDArray[np.float32],
+    variance: NDArray[np.float32] | None,
+) -> None:
+    """Write planes ``(C, H, W)`` of a role in the scale of the table; scale the variance in place.
+
+    What is not sound (and no miss) stays not finite.
+    """
+    if role not in (Role.DEPTH, Role.POSITION):
+        out[...] = image
+        return
     if role is Role.DEPTH:
         z = np.abs(image)
-        gone = miss[:, :, None]
-        safe = np.where(gone | ~np.isfinite(z) | (z == 0), 1.0, z)
-        image = np.log(safe / scales.depth_median)
-        far = np.log(max(scales.depth_far / scales.depth_median, 1e-20)) + 1.0
-        image = np.where(gone, far, image)
-        if variance is not None:
-            variance = np.where(gone, 0.0, variance / safe**2)
-        bad = bad & ~miss
-    elif role is Role.POSITION:
-        gone = miss[:, :, None]
-        image = np.where(gone, 0.0, (image - np.array(scales.centre, np.float32)) / scales.extent)
-        if variance is not None:
-            variance = np.where(gone, 0.0, variance / scales.extent**2)
-        bad = bad & ~miss
-    clean = np.where(bad[:, :, None], 0.0, image).astype(np.float32)
-    if variance is None:
-        return clean, None, bad
-    return clean, np.where(bad[:, :, None], 0.0, variance).astype(np.float32), bad
+        z[:, miss] = 1
+        np.divide(z, np.float32(scales.depth_median), out=out)
+        with np.errstate(invalid="ignore"):
+            np.log(out, out=out)
+        gone = np.float32(math.log(max(scales.depth_far / scales.depth_median, 1e-20)) + 1)
+        square = z * z
+    else:
+        with np.errstate(invalid="ignore"):
+            np.subtract(image, np.array(scales.centre, np.float32)[:, None, None], out=out)
+        out /= np.float32(scales.extent)
+        gone = np.float32(0)
+        square = np.float32(scales.extent**2)
+    out[:, miss] = gone
+    if variance is not None:
+        variance /= square
+        variance[:, miss] = 0

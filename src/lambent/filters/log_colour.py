@@ -27,7 +27,10 @@ def fit_exposure(frame: Frame) -> float:
 def log_colour(colour: NDArray[np.float32], exposure: float) -> FloatImage:
     """ln(exposure·c + `DARK`) of radiance ``(H, W, C)``; what is not finite stays so."""
     with np.errstate(invalid="ignore"):
-        return np.log(np.maximum(colour, 0) * np.float32(exposure) + np.float32(DARK))
+        light = np.maximum(colour, np.float32(0))
+        light *= np.float32(exposure)
+        light += np.float32(DARK)
+        return np.asarray(np.log(light, out=light))
 
 
 def noise_level(image: NDArray[np.float32]) -> float:

@@ -1,8 +1,8 @@
 """A fast exponential for weights.
 
 Dr.Jit's own ``exp`` is exact to an ulp and costs more than the rest of a bilateral tap. A weight
-needs no more than a few parts in a million: a minimax polynomial for 2^f on [0, 1) and the integer
-part put into the exponent of the float.
+needs no more than a few parts in a million: x / ln 2 is split into the nearest integer and a
+fraction in [-1/2, 1/2]; a polynomial gives 2^fraction, and the integer is added to its exponent.
 """
 
 from __future__ import annotations
@@ -11,16 +11,11 @@ from typing import Any
 
 from lambent.kernels.extremes import greater
 
-#: 2^f on [0, 1), degree 5; relative error 4e-6 after rounding, together with the range reduction.
-_POLYNOMIAL = (
-    1.8775767e-3,
-    8.9893397e-3,
-    5.5826318e-2,
-    2.4015361e-1,
-    6.9315308e-1,
-    9.9999994e-1,
-)
+#: 2^f on [-1/2, 1/2], degree 4, least relative error (3e-6).
+_POLYNOMIAL = (9.57010145e-3, 5.59178603e-2, 2.40247448e-1, 6.93121815e-1, 9.99999261e-1)
 _LOG2_E = 1.4426950408889634
+#: 1.5·2^23: adding it rounds a float to the nearest integer, which then is its low bits.
+_ROUND = 12582912.0
 
 
 def exp_weight(x: Any) -> Any:
@@ -33,10 +28,11 @@ def exp_weight(x: Any) -> Any:
     kind = type(x)
     integer = dr.int32_array_t(kind)
     y = greater(x * _LOG2_E, -126.0)
-    whole = dr.floor(y)
-    fraction = y - whole
-    power = kind(_POLYNOMIAL[0])
+    rounded = y + _ROUND
+    fraction = y - (rounded - _ROUND)
+    power: Any = kind(_POLYNOMIAL[0])
     for coefficient in _POLYNOMIAL[1:]:
         power = dr.fma(power, fraction, coefficient)
-    exponent = (integer(whole) + 127) << 23
-    return power * dr.reinterpret_array(kind, exponent)
+    bits: Any = dr.reinterpret_array(integer, power)
+    exponent: Any = dr.reinterpret_array(integer, rounded)
+    return dr.reinterpret_array(kind, bits + (exponent << 23))

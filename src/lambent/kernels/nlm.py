@@ -234,17 +234,15 @@ def nlm_mean(
     layout, module = search.layout, search.module
     seen = None if joint is None else Planes.of(joint[0], layout, module)
     also = None if joint is None else joint[1]
-    mask = search.mask
+    inside = slice(layout.margin_rows, layout.margin_rows + layout.height)
     sound = valid_pixels(targets, None if joint is None else joint[0])
-    if not sound.all():
-        inside = slice(layout.margin_rows, layout.margin_rows + layout.height)
-        mask = Planes.of(mask.memory[0, inside, : layout.width] * sound, layout, module)
+    valid = sound * search.mask.memory[0, inside, : layout.width]
     knobs = constants(numbers, module)
     centre = [] if seen is None else seen.views()
-    sums = WeightedSums(targets, layout, module)
+    sums = WeightedSums(targets, valid, layout, module)
     if joint is None and search.difference is squared_difference:
         for batch in search.batches():
-            _add_both_ways(search, batch, mask, sums)
+            _add_both_ways(search, batch, sums)
         return sums.mean()
     for batch in search.batches():
         weights = []
@@ -253,7 +251,7 @@ def nlm_mean(
             distance = _mean(views, search.rows.view(), search.column_ends(dy))
             if seen is not None and also is not None:
                 distance = greater(distance, also(centre, seen.views(dx, dy), knobs))
-            weights.append((dx, dy, exp_weight(-greater(distance, 0.0)) * mask.view(0, dx, dy)))
+            weights.append((dx, dy, exp_weight(-greater(distance, 0.0))))
         sums.add(weights)
     return sums.mean()
 
@@ -261,9 +259,7 @@ def nlm_mean(
 # ------------------------------------------------------------------ private
 
 
-def _add_both_ways(
-    search: PatchSearch, batch: list[tuple[int, int]], mask: Planes, sums: WeightedSums
-) -> None:
+def _add_both_ways(search: PatchSearch, batch: list[tuple[int, int]], sums: WeightedSums) -> None:
     """Add the weights of some offsets, and of the opposite ones, where the distance is symmetric.
 
     D_o(p) is the distance of p and p + o, and so D_-o(p) = D_o(p - o): half the distances do.
@@ -284,9 +280,9 @@ def _add_both_ways(
     weights = []
     for likeness, (dx, dy) in zip(likenesses, half, strict=True):
         plane = Plane(search.layout, reach, likeness, search.module)
-        weights.append((dx, dy, plane.view() * mask.view(0, dx, dy)))
+        weights.append((dx, dy, plane.view()))
         if (dx, dy) != (0, 0):
-            weights.append((-dx, -dy, plane.view(-dx, -dy) * mask.view(0, -dx, -dy)))
+            weights.append((-dx, -dy, plane.view(-dx, -dy)))
     sums.add(weights)
 
 
