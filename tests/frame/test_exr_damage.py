@@ -99,9 +99,9 @@ def test_undecodable_pixels_tell_what_openexr_said(
 
 def test_prints_of_others_pass_through(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     """While OpenEXR is listened to, other output is only delayed."""
-    from lambent.frame.exrpixels import _quiet
+    from lambent.frame.exrmodule import quiet
 
-    with _quiet() as said:
+    with quiet() as said:
         os.write(2, b"somebody else\nEXR_ERR_OURS here\n")
         os.write(1, b"a result\n")
     assert said == ["EXR_ERR_OURS here"]

@@ -12,8 +12,10 @@ import OpenEXR
 import pytest
 
 from lambent.errors import LambentError, LayerError, OutputError
+from lambent.frame import exrwhole, exrwrite
 from lambent.frame.exr import ExrFile, decode, encode
 from lambent.frame.exrpixels import decode_rows
+from lambent.frame.exrwhole import read_whole
 from lambent.frame.exrwrite import shrink, to_type
 
 SHARED = (
@@ -268,8 +270,9 @@ def test_channel_names_that_are_no_text(tmp_path: Path) -> None:
 
 def test_rows_and_fill_equal_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading in bands gives what reading at once gives, for rows, tiles, and windows anywhere."""
-    from lambent.frame import exrpixels
+    from lambent.frame import exrfile, exrpixels
 
+    monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)
     monkeypatch.setattr(exrpixels, "BAND_BYTES", 3000)
     for tiled in (False, True):
         for compression in ("ZIP_COMPRESSION", "NO_COMPRESSION", "ZIPS_COMPRESSION"):
@@ -290,13 +293,15 @@ def test_writing_in_bands_equals_writing_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Small bands bound the memory and change nothing."""
-    from lambent.frame import exrpixels
+    from lambent.frame import exrfile, exrpixels
 
     for tiled in (False, True):
         (tmp_path / "in.exr").write_bytes(exr_samples.content(tiled=tiled, parts=2))
         exr = decode(tmp_path / "in.exr")
         replaced = {(0, "R"): pattern(exr.parts[0].channels["R"].data)}
         encode(tmp_path / "one.exr", exr, replaced, True)
+        exr = decode(tmp_path / "in.exr")
+        monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)
         monkeypatch.setattr(exrpixels, "BAND_BYTES", 2000)
         encode(tmp_path / "many.exr", exr, replaced, True)
         monkeypatch.undo()
@@ -351,3 +356,104 @@ def test_existing_target_is_refused(tmp_path: Path) -> None:
         encode(tmp_path / "in.exr", decode(tmp_path / "in.exr"))
     assert isinstance(caught.value, LambentError)
     assert "--overwrite" in str(caught.value)
+
+
+# ---------------------------------------------------------------- whole files
+
+QUICK = [c for c in exr_samples.COMPRESSIONS if "J2K" not in c]
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("tiled", [False, True])
+def test_whole_files_are_read_by_the_module_itself(tiled: bool, parts: int, tmp_path: Path) -> None:
+    """The quick way is taken, and gives what the way in chunks gives (twin)."""
+    for compression in QUICK:
+        content = exr_samples.content(compression, tiled=tiled, parts=parts, origin=(-3, 5))
+        (tmp_path / "in.exr").write_bytes(content)
+        exr = decode(tmp_path / "in.exr")
+        whole = read_whole(exr.container)
+        assert whole is not None
+        for part, arrays in zip(exr.container.parts, whole, strict=True):
+            twin = decode_rows(exr.container, part)
+            assert list(twin) == list(arrays)
+            assert all(twin[name].tobytes() == arrays[name].tobytes() for name in twin)
+        exr.gather(range(parts))
+        assert all(part.pixels.kept for part in exr.parts) == (parts > 1)
+
+
+def test_headers_the_module_may_not_see(tmp_path: Path) -> None:
+    """An attribute of unknown type, or with the wrong size, and names that are no text."""
+    plain = exr_samples.content(extra={"note": "text"})
+    for content in (
+        exr_samples.opaque_attribute(plain),
+        plain.replace(b"note\0string\0\4\0\0\0text", b"note\0double\0\4\0\0\0text"),
+        plain.replace(b"note\0string\0\4\0\0\0text", b"note\0string\0\4\0\0\0te\xfft"),
+        plain.replace(b"depth.Z\0", b"depth\xff\xff\0"),
+    ):
+        assert content != plain
+        (tmp_path / "in.exr").write_bytes(content)
+        exr = decode(tmp_path / "in.exr")
+        assert read_whole(exr.container) is None
+        assert exr.parts[0].channels["R"].data.tobytes() == exr_samples.arrays()["R"].tobytes()
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_whole_files_are_written_by_the_module_itself(
+    tiled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Byte for byte the file that the way in chunks makes, for headers of several lengths."""
+    went = []
+
+    def whole(*arguments: object) -> bool:
+        went.append(exrwhole.write_whole(*arguments))
+        return went[-1]
+
+    for compression in ("NO_COMPRESSION", "RLE_COMPRESSION", "ZIP_COMPRESSION", "PIZ_COMPRESSION"):
+        (tmp_path / "in.exr").write_bytes(exr_samples.content(compression, tiled=tiled))
+        exr = decode(tmp_path / "in.exr")
+        replaced = {(0, "R"): pattern(exr.parts[0].channels["R"].data)}
+        for n in (None, 0, 1, 200):
+            texts = {} if n is None else {"~": "x" * n}
+            for name, way in (("whole", whole), ("chunks", lambda *_: False)):
+                monkeypatch.setattr(exrwrite, "write_whole", way)
+                encode(tmp_path / f"{name}.exr", exr, replaced, True, texts)
+            assert (tmp_path / "whole.exr").read_bytes() == (tmp_path / "chunks.exr").read_bytes()
+    assert went == [True] * 16
+
+
+def test_module_that_fails_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it wrote so far, or wrote wrongly, is gone; the way in chunks makes the file."""
+    (tmp_path / "in.exr").write_bytes(exr_samples.content())
+    exr = decode(tmp_path / "in.exr")
+    replaced = {(0, "R"): pattern(exr.parts[0].channels["R"].data)}
+    encode(tmp_path / "good.exr", exr, replaced)
+    checked = []
+    monkeypatch.setattr(exrwhole, "_is_sound", lambda *a: bool(checked.append(a)))
+    encode(tmp_path / "again.exr", exr, replaced)
+    assert checked
+    assert (tmp_path / "again.exr").read_bytes() == (tmp_path / "good.exr").read_bytes()
+
+
+def test_pxr24_is_kept_where_it_loses_nothing(tmp_path: Path) -> None:
+    """Floats of a PXR24 file survive (NaN and infinities too), unless stored unpacked."""
+    floats = exr_samples.arrays()["depth.Z"]
+    floats[3, :4] = np.nan, np.inf, -np.inf, -0.0
+    channels = {"R": np.ones_like(floats), "depth.Z": floats}
+    (tmp_path / "in.exr").write_bytes(
+        exr_samples.content("PXR24_COMPRESSION", channels=dict(channels))
+    )
+    exr = decode(tmp_path / "in.exr")
+    before = exr.parts[0].channels["depth.Z"].data
+    notes = encode(tmp_path / "out.exr", exr, {(0, "R"): channels["R"] * 2})
+    after = decode(tmp_path / "out.exr").parts[0]
+    assert notes == ()
+    assert after.compression == "pxr24"
+    assert after.channels["depth.Z"].data.tobytes() == before.tobytes()
+    # Noise of all bits cannot be packed, so the file holds it unpacked, with all 32 bits.
+    noise = np.random.default_rng(1).integers(0, 2**31, (37, 29), np.uint32).view(np.float32)
+    only = exr_samples.content("PXR24_COMPRESSION", channels={"R": noise, "Z": noise})
+    (tmp_path / "noise.exr").write_bytes(only)
+    exr = decode(tmp_path / "noise.exr")
+    before = exr.parts[0].channels["Z"].data
+    encode(tmp_path / "out2.exr", exr, {(0, "R"): np.zeros_like(noise)})
+    assert decode(tmp_path / "out2.exr").parts[0].channels["Z"].data.tobytes() == before.tobytes()

@@ -32,15 +32,21 @@ def sample(tmp_path: Path, **options: object) -> Path:
     return path
 
 
-def test_layers_are_decoded_when_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reading touches no pixel; all roles come in one pass; ids not before somebody asks."""
+@pytest.mark.parametrize("large", [False, True])
+def test_layers_are_decoded_when_looked_at(
+    large: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading touches no pixel; all roles come in one pass; ids of large files in another."""
     from lambent.frame import exrfile
 
+    if large:
+        monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)
     calls = []
-    real = exrfile.decode_rows
-    monkeypatch.setattr(
-        exrfile, "decode_rows", lambda *a, **k: calls.append(a[1].index) or real(*a, **k)
-    )
+    for name in ("decode_rows", "read_whole"):
+        real = getattr(exrfile, name)
+        monkeypatch.setattr(
+            exrfile, name, lambda *a, real=real: calls.append(a[0].path) or real(*a)
+        )
     frame = read(sample(tmp_path))
     assert frame.layer(Role.COLOUR) is not None
     assert calls == []
@@ -48,7 +54,7 @@ def test_layers_are_decoded_when_looked_at(tmp_path: Path, monkeypatch: pytest.M
     assert len(calls) == 1
     (ids,) = [layer for layer in frame.extras.values() if layer.role is Role.ID]
     assert ids.data.shape == (37, 29, 1)
-    assert len(calls) == 2
+    assert len(calls) == (2 if large else 1)
 
 
 def test_write_back_changes_the_layer_and_nothing_else(tmp_path: Path) -> None:

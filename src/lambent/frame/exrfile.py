@@ -16,8 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.frame.exrheader import Container, PartHeader
-from lambent.frame.exrpixels import Arrays, bands, decode_rows
+from lambent.frame.exrpixels import NONE, Arrays, bands, decode_rows
 from lambent.frame.exrvalues import COMPRESSIONS
+from lambent.frame.exrwhole import read_whole
+
+#: Parts up to so many bytes are decoded once and kept: writing back needs them again.
+KEEP_BYTES = 256 << 20
+#: Rows that are put into place together: few enough to stay in the processor's cache.
+_BLOCK = 32
 
 
 class ExrChannel:
@@ -58,15 +64,30 @@ class Pixels:
     @cached_property
     def arrays(self) -> Arrays:
         """Every channel, decoded together and kept."""
-        found = decode_rows(self.file, self.packed)
-        for array in found.values():
-            array.flags.writeable = False
-        return found
+        whole = read_whole(self.file) if self._alone else None
+        return _frozen(whole[0] if whole else decode_rows(self.file, self.packed))
+
+    @property
+    def _alone(self) -> bool:
+        """Whether this is all there is in the file, and the module is what unpacks it best."""
+        quick = self.packed.compression == NONE and not self.packed.tiles
+        return len(self.file.parts) == 1 and not quick
+
+    @property
+    def small(self) -> bool:
+        """Whether the pixels may be kept for the next who needs them."""
+        return self.packed.unpacked <= KEEP_BYTES
 
     @property
     def kept(self) -> bool:
         """Whether `arrays` has been made."""
         return "arrays" in self.__dict__
+
+
+def _frozen(arrays: Arrays) -> Arrays:
+    for array in arrays.values():
+        array.flags.writeable = False
+    return arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +139,11 @@ class ExrPart:
         }
 
     def fill(self, targets: Mapping[str, Iterable[tuple[NDArray[Any], int, int]]]) -> None:
-        """Decode in bands straight into other arrays of any type; nothing is kept.
+        """Decode straight into other arrays of any type.
 
         ``targets``: channel name to ``(place, row, column)``: arrays ``(h, w)`` (views of an
-        interleaved image, say) and where in the channel their first pixel lies. Memory beside
-        them is one band.
+        interleaved image, say) and where in the channel their first pixel lies. A small part is
+        decoded at once and kept; of a large one, memory beside the targets is one band.
         """
         for a, b, found in self._bands():
             for name, places in targets.items():
@@ -135,8 +156,13 @@ class ExrPart:
                         place[top - row : bottom - row] = piece[:, column : column + place.shape[1]]
 
     def _bands(self) -> Iterable[tuple[int, int, Arrays]]:
-        if self.pixels is None or self.pixels.kept:
-            yield 0, self.height, {name: c.data for name, c in self.channels.items()}
+        if self.pixels is None or self.pixels.kept or self.pixels.small:
+            whole = {name: c.data for name, c in self.channels.items()}
+            steps = {c.y_sampling for c in self.channels.values()}
+            block = _BLOCK if steps == {1} else self.height
+            for a in range(0, self.height, block):
+                b = min(a + block, self.height)
+                yield a, b, {n: array[a:b] if steps == {1} else array for n, array in whole.items()}
             return
         for a, b in bands(self.pixels.packed):
             yield a, b, decode_rows(self.pixels.file, self.pixels.packed, (a, b))
@@ -149,6 +175,21 @@ class ExrFile:
     path: Path
     parts: tuple[ExrPart, ...]
     container: Container | None = field(default=None, repr=False)
+
+    def gather(self, wanted: Iterable[int]) -> None:
+        """Decode parts of a file together if most of it is wanted anyhow; else do nothing."""
+        if self.container is None or len(self.parts) == 1:
+            return
+        waiting = [p for p in map(self.parts.__getitem__, wanted) if p.pixels and not p.pixels.kept]
+        sizes = [p.unpacked for p in self.container.parts]
+        share = sum(sizes[p.index] for p in waiting)
+        if sum(sizes) > KEEP_BYTES or 2 * share < sum(sizes) or len(waiting) < 2:
+            return
+        whole = read_whole(self.container)
+        for part in waiting if whole else ():
+            assert part.pixels is not None
+            assert whole is not None
+            part.pixels.__dict__["arrays"] = _frozen(whole[part.index])
 
     @property
     def views(self) -> tuple[str, ...]:

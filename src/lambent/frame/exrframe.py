@@ -166,10 +166,14 @@ class _Loader:
     def _decode(self, group: list[Found]) -> None:
         """All layers of a group; each part that they need is decoded once."""
         height, width = size_of(self.window)
+        self.exr.gather({index for found in group for index, _ in found.channels})
         targets: dict[int, dict[str, list[tuple[NDArray[Any], int, int]]]] = {}
         for found in group:
             if self._sampled(found):
                 self.done[id(found)] = self._from_sampled(found)
+                continue
+            if (plane := self._single(found)) is not None:
+                self.done[id(found)] = plane
                 continue
             image = np.empty((height, width, len(found.channels)), np.float32)
             self.done[id(found)] = image
@@ -182,6 +186,18 @@ class _Loader:
         for found in group:
             if found.scale != 1.0:
                 self.done[id(found)] *= np.float32(found.scale)
+
+    def _single(self, found: Found) -> FloatImage | None:
+        """A layer that is one kept channel as it stands: no copy."""
+        if len(found.channels) != 1 or found.scale != 1.0:
+            return None
+        index, name = found.channels[0]
+        part = self.exr.parts[index]
+        if part.pixels is None or not part.pixels.small or part.data_window != self.window:
+            return None
+        if part.channels[name].dtype != np.float32:
+            return None
+        return part.channels[name].data[:, :, None]
 
     def _sampled(self, found: Found) -> bool:
         channels = [self.exr.parts[index].channels[name] for index, name in found.channels]

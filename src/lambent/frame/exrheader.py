@@ -135,6 +135,14 @@ class PartHeader:
         """An attribute by name, or None."""
         return next((a for a in self.attributes if a.name == name), None)
 
+    @property
+    def unpacked(self) -> int:
+        """Bytes of the finest level's pixels."""
+        return sum(
+            c.dtype.itemsize * (self.width // c.x_sampling) * (self.height // c.y_sampling)
+            for c in self.channels
+        )
+
     @cached_property
     def values(self) -> dict[str, Any]:
         """All attributes but the channel list as Python values."""
@@ -237,6 +245,19 @@ class Container:
         if len(piece) != count:
             self.damaged(f"the file ends at byte {at + len(piece)} in the middle of its contents")
         return piece
+
+    @property
+    def open_name(self) -> str | None:
+        """A name by which C code can open this very file again, if there is one."""
+        if self._content is not None:
+            return None
+        if os.path.isdir("/proc/self/fd"):
+            return f"/proc/self/fd/{self._fd}"
+        try:
+            same = os.path.samestat(os.stat(self.path), os.fstat(self._fd))
+        except OSError:
+            return None
+        return str(self.path) if same else None
 
     def damaged(self, what: str, layer: str | None = None) -> NoReturn:
         """Raise `DamagedFileError` with the file's name; unprintable letters are made visible."""

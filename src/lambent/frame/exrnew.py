@@ -11,16 +11,18 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.frame.atomic import atomic
+from lambent.frame.exrfile import KEEP_BYTES
 from lambent.frame.exrheader import DTYPES, ChannelInfo, PartHeader
 from lambent.frame.exrpixels import ZIP, bands, encode_rows
-from lambent.frame.exrwrite import beyond_half, to_type
+from lambent.frame.exrwhole import write_whole
+from lambent.frame.exrwrite import append, beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import EXR_MAGIC
@@ -84,23 +86,30 @@ def write_new(
     part = _part(path, planes, DTYPES[1] if half else DTYPES[2], attributes or {})
     with atomic(path, overwrite) as out:
         long_names = max(len(c.raw) for c in part.channels) > 31
-        out.write(EXR_MAGIC + struct.pack("<I", 2 | (0x400 if long_names else 0)) + part.raw)
-        table = out.tell()
-        out.seek(8 * part.chunk_count, os.SEEK_CUR)
-        offsets = []
-        for a, b in bands(part):
-            rows = {c.name: to_type(planes[c.name][a:b], c.dtype) for c in part.channels}
-            for chunk in encode_rows(part, rows, a, part.levels[0], False):
-                offsets.append(out.tell())
-                out.write(chunk)
-        out.seek(table)
-        out.write(struct.pack(f"<{len(offsets)}Q", *offsets))
+        start = EXR_MAGIC + struct.pack("<I", 2 | (0x400 if long_names else 0)) + part.raw
+        if part.unpacked > KEEP_BYTES or not write_whole(
+            out, start, part, {c.name: to_type(planes[c.name], c.dtype) for c in part.channels}
+        ):
+            _in_bands(out, start, part, planes)
     if not half:
         return ()
     beyond = {name: count for name, plane in planes.items() if (count := beyond_half(plane))}
     return tuple(
         f"{n} values of '{name}' exceed a half: clamped to ±65504." for name, n in beyond.items()
     )
+
+
+def _in_bands(
+    out: BinaryIO, start: bytes, part: PartHeader, planes: Mapping[str, NDArray[Any]]
+) -> None:
+    out.write(start)
+    out.seek(8 * part.chunk_count, os.SEEK_CUR)
+    offsets = []
+    for a, b in bands(part):
+        rows = {c.name: to_type(planes[c.name][a:b], c.dtype) for c in part.channels}
+        offsets.append(append(out, encode_rows(part, rows, a, part.levels[0], False)))
+    out.seek(len(start))
+    out.write(np.concatenate(offsets).astype("<u8").tobytes())
 
 
 def _part(
@@ -136,6 +145,7 @@ def _part(
         (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
         (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
         (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+        (b"type", b"string", b"scanlineimage"),
         *(_attribute(name, value) for name, value in attributes.items()),
     ]
     raw = b"".join(

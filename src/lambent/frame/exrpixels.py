@@ -1,31 +1,30 @@
 """Packed chunks of an EXR part to arrays and back, with OpenEXR's own module as the codec.
 
-A run of chunks is handed to the module as a little single-part EXR of its own, with a header made
-here that holds nothing but what the codec needs: a whole part (nothing is copied: the module reads
-the chunks from the file itself), a band of rows, or one level of a mip-map. Bands bound the memory;
-levels, and parts beside damaged ones, become reachable at all. Uncompressed rows are plain memory
-and need no codec; sub-sampled channels, which the module cannot write, are packed with zlib here.
+Whole files are read and written by the module itself (`lambent.frame.exrwhole`). Everything else
+goes in runs of chunks: a band of rows, a part of several, one level of a mip-map. A run is handed
+to the module as a little single-part EXR of its own, with a header made here that holds nothing
+but what the codec needs. Bands bound the memory; levels, and parts beside damaged ones, become
+reachable at all. Uncompressed rows are plain memory and need no codec; sub-sampled channels, which
+the module cannot write, are packed with zlib here.
 """
 
 from __future__ import annotations
 
 import io
 import os
-import re
 import struct
-import sys
-import tempfile
-import threading
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from typing import Any, TextIO
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import FileError
 from lambent.frame.exrheader import Container, Level, PartHeader
+from lambent.frame.exrmodule import memory_file, module, name_of, parts_of, quiet
 from lambent.frame.exrvalues import COMPRESSIONS
 from lambent.frame.magic import EXR_MAGIC
 
@@ -36,22 +35,11 @@ BAND_BYTES = 32 << 20
 NONE, ZIP = 0, 3
 #: Bytes copied at once.
 _COPY = 4 << 20
+#: Compressions whose library prints remarks.
+_TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 #: Compressions that unpack at the speed of memory.
 _QUICK = ("none", "rle", "zstd")
-#: The module's names for what it reads, which would tell a person nothing.
-_AT = re.compile(r"<python_buffer>:? ?|'?/proc/self/fd/\d+'?:? ?")
-#: Compressions whose library prints remarks to C's stdout, which would show up at any later time.
-_TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 _CHANNEL_NUMBER = {np.dtype(np.uint32): 0, np.dtype(np.float16): 1, np.dtype(np.float32): 2}
-
-
-def module() -> Any:
-    """The OpenEXR module, with as many threads as there are processors."""
-    import OpenEXR
-
-    if OpenEXR.global_thread_count() == 0:
-        OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    return OpenEXR
 
 
 def bands(part: PartHeader, level: Level | None = None) -> Iterator[tuple[int, int]]:
@@ -95,22 +83,16 @@ def decode_rows(
             file=container.path,
             remedy="pip install --upgrade OpenEXR",
         )
-    with _codec_file(container, part, level, chosen, a, b) as (place, threads), _quiet() as said:
-        try:
-            found = exr.File(place, separate_channels=True, num_threads=threads).parts
-        except Exception as error:  # the module raises many kinds; all mean the same here
-            found, reason = [], _AT.sub("", str(error))
-        else:
-            reason = ""
-        if not found or COMPRESSIONS[part.compression] in _TALKATIVE:
-            _flush_c()
+    talkative = COMPRESSIONS[part.compression] in _TALKATIVE
+    with _codec_file(container, part, level, chosen, a, b) as (place, threads):
+        found, reason = parts_of(place, threads, container.path, talkative)
     if not found:
-        reason = "; ".join(filter(None, [reason, *said])) or "OpenEXR gave no reason"
+        reason = reason or "OpenEXR gave no reason"
         container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
     channels = found[0].channels
     return {
         info.name: channels[safe].pixels
-        for info, safe in zip(part.channels, _safe_names(part), strict=True)
+        for info, safe in zip(part.channels, safe_names(part), strict=True)
     }
 
 
@@ -165,29 +147,25 @@ def _codec_file(
     On Linux a file in memory, which C code reads by itself; elsewhere, and where unpacking costs
     no more than such a file, a stream, on which threads would only wait for Python's lock.
     """
-    head, pieces = _codec_pieces(container, part, level, chosen, a, b)
     quick = COMPRESSIONS[part.compression] in _QUICK
-    descriptor = None if quick else _memory_file()
-    if descriptor is None:
-        yield io.BytesIO(b"".join([head, *pieces])), 0
-        return
-    try:
-        with os.fdopen(descriptor, "wb", buffering=1 << 16) as out:
-            out.write(head)
-            for piece in pieces:
-                out.write(piece)
-            out.flush()
-            yield f"/proc/self/fd/{descriptor}", os.cpu_count() or 1
-    except OSError as error:
-        raise FileError(f"no memory to decode it: {error}", file=container.path) from error
-
-
-def _memory_file() -> int | None:
-    """A file in memory that can be opened by the name ``/proc/self/fd/N``, if there is such."""
-    if hasattr(os, "memfd_create") and os.path.isdir("/proc/self/fd"):
-        with suppress(OSError):
-            return os.memfd_create("lambent")
-    return None
+    descriptor = None if quick else memory_file()
+    if descriptor is not None:
+        with os.fdopen(descriptor, "w+b", buffering=1 << 16) as out:
+            written = False
+            with suppress(OSError):  # no room, or a limit on the size of files: then as a stream
+                head, pieces = _codec_pieces(container, part, level, chosen, a, b)
+                out.write(head)
+                for piece in pieces:
+                    out.write(piece)
+                out.flush()
+                written = True
+            if written:
+                yield name_of(descriptor), os.cpu_count() or 1
+                return
+            with suppress(OSError):
+                out.truncate(0)
+    head, pieces = _codec_pieces(container, part, level, chosen, a, b)
+    yield io.BytesIO(b"".join([head, *pieces])), 0
 
 
 def _codec_pieces(
@@ -224,7 +202,7 @@ def _codec_pieces(
     return head + table.astype("<u8").tobytes(), each()
 
 
-def _safe_names(part: PartHeader) -> list[str]:
+def safe_names(part: PartHeader) -> list[str]:
     """Channel names for the module, which cannot show bytes that are no UTF-8 as text."""
     try:
         return [c.raw.decode("utf-8") for c in part.channels]
@@ -234,7 +212,7 @@ def _safe_names(part: PartHeader) -> list[str]:
 
 def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:
     """The header of a single-part EXR that holds rows ``[a, b)`` of a level of the part."""
-    names = [name.encode() for name in _safe_names(part)]
+    names = [name.encode() for name in safe_names(part)]
     channels = b"".join(
         name
         + struct.pack("<xiB3xii", _CHANNEL_NUMBER[c.dtype], c.p_linear, c.x_sampling, c.y_sampling)
@@ -267,9 +245,17 @@ def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:
 # ------------------------------------------------------------------ encoding
 
 
+@dataclass(frozen=True)
+class Packed:
+    """Chunks ready for a file: their bytes in pieces, and the size of each with its leader."""
+
+    pieces: list[Any]
+    sizes: NDArray[np.int64]
+
+
 def encode_rows(
     part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, level: Level, multipart: bool
-) -> list[bytes]:
+) -> Packed:
     """The chunks (leader and packed pixels, in table order) of rows from ``first`` on.
 
     ``arrays``: every channel of the part by name, in its own type and sampled size.
@@ -279,23 +265,29 @@ def encode_rows(
         return _pack_plain(part, arrays, first, prefix)
     if part.sampled:
         return _pack_sampled(part, arrays, first, prefix)
-    packed = Container(None, _little_file(part, arrays, first))
+    content = _little_file(part, arrays, first)
+    packed = Container(None, content)
     chunks = packed.chunks[0]
+    sizes = chunks.size + chunks.lead
+    view = memoryview(content)
+    if not multipart and not part.tiles and (np.diff(chunks.start) == sizes[:-1]).all():
+        start = int(chunks.start[0])
+        return Packed([view[start : start + int(sizes.sum())]], sizes)
     width = next(iter(arrays.values())).shape[1]
+    columns = -(-width // part.tiles.width) if part.tiles else 1
     row = first // part.lines
-    found = []
+    pieces: list[Any] = []
     for n, (start, size) in enumerate(
         zip(chunks.start.tolist(), chunks.size.tolist(), strict=True)
     ):
-        pixels = packed.read(start + chunks.lead, size)
         if part.tiles:
-            columns = -(-width // part.tiles.width)
             place = (n % columns, row + n // columns, level.lx, level.ly)
-            found.append(prefix + struct.pack("<5i", *place, size) + pixels)
+            pieces.append(prefix + struct.pack("<5i", *place, size))
         else:
             y = part.data_window[1] + first + n * part.lines
-            found.append(prefix + struct.pack("<2i", y, size) + pixels)
-    return found
+            pieces.append(prefix + struct.pack("<2i", y, size))
+        pieces.append(view[start + chunks.lead : start + chunks.lead + size])
+    return Packed(pieces, sizes + len(prefix))
 
 
 def survives(
@@ -303,14 +295,21 @@ def survives(
 ) -> bool:
     """Whether these channels come back bit for bit when packed with the part's compression."""
     stream = io.BytesIO(_little_file(part, arrays, first))
-    with _quiet():
+    with quiet():
         back = module().File(stream, separate_channels=True).parts[0].channels
-    safe = dict(zip((c.name for c in part.channels), _safe_names(part), strict=True))
-    return all(arrays[n].tobytes() == back[safe[n]].pixels.tobytes() for n in names)
+    safe = dict(zip((c.name for c in part.channels), safe_names(part), strict=True))
+    return all(same_bits(arrays[n], back[safe[n]].pixels) for n in names)
 
 
-def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int) -> bytes:
-    """A single-part EXR of these rows, packed by OpenEXR."""
+def same_bits(one: NDArray[Any], other: NDArray[Any]) -> bool:
+    """Whether two arrays hold the same bits (NaN and the sign of zero included)."""
+    kind = np.dtype(f"u{one.dtype.itemsize}")
+    one, other = np.ascontiguousarray(one), np.ascontiguousarray(other)
+    return one.dtype == other.dtype and np.array_equal(one.view(kind), other.view(kind))
+
+
+def module_part(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int) -> Any:
+    """These rows as a part that the module can write."""
     exr = module()
     height, width = next(iter(arrays.values())).shape
     x, y = part.data_window[0], part.data_window[1] + first
@@ -330,22 +329,31 @@ def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: in
         header["tiles"] = tiles
     channels = {
         safe: exr.Channel(safe, np.ascontiguousarray(arrays[c.name]), 1, 1, bool(c.p_linear))
-        for c, safe in zip(part.channels, _safe_names(part), strict=True)
+        for c, safe in zip(part.channels, safe_names(part), strict=True)
     }
-    parts = [exr.Part(header, channels, "")]
-    descriptor = _memory_file()
-    if descriptor is None:
-        stream = io.BytesIO()
-        exr.File(parts, num_threads=0).write(stream)
-        return stream.getvalue()
-    with os.fdopen(descriptor, "rb") as made:
-        exr.File(parts, num_threads=os.cpu_count() or 1).write(f"/proc/self/fd/{descriptor}")
-        return made.read()
+    return exr.Part(header, channels, "")
+
+
+def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int) -> bytes:
+    """A single-part EXR of these rows, packed by OpenEXR."""
+    exr = module()
+    parts = [module_part(part, arrays, first)]
+    descriptor = memory_file()
+    if descriptor is not None:
+        # No room, or a limit on the size of files, and the module's many exceptions: as a stream.
+        with os.fdopen(descriptor, "rb") as made, suppress(Exception):
+            exr.File(parts, num_threads=os.cpu_count() or 1).write(name_of(descriptor))
+            content = made.read()
+            Container(None, content)  # raises for a file that was cut off
+            return content
+    stream = io.BytesIO()
+    exr.File(parts, num_threads=0).write(stream)
+    return stream.getvalue()
 
 
 def _pack_plain(
     part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, prefix: bytes
-) -> list[bytes]:
+) -> Packed:
     height, width = next(iter(arrays.values())).shape
     row = width * sum(c.dtype.itemsize for c in part.channels)
     lead = len(prefix) + 8
@@ -361,12 +369,12 @@ def _pack_plain(
         pixels = np.ascontiguousarray(arrays[channel.name], channel.dtype)
         block[:, at:end] = pixels.view(np.uint8)
         at = end
-    return [block[n].data for n in range(height)]  # type: ignore[misc]
+    return Packed([block.data], np.full(height, lead + row, np.int64))
 
 
 def _pack_sampled(
     part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int, prefix: bytes
-) -> list[bytes]:
+) -> Packed:
     """Chunks of scan lines whose channels may be sub-sampled, uncompressed or packed with ZIP."""
     assert part.compression in (NONE, ZIP)
     height = max(a.shape[0] * c.y_sampling for c, a in _with_arrays(part, arrays))
@@ -382,7 +390,7 @@ def _pack_sampled(
         pixels = zip_pack(raw) if part.compression == ZIP else raw
         place = part.data_window[1] + first + top
         found.append(prefix + struct.pack("<2i", place, len(pixels)) + pixels)
-    return found
+    return Packed(list(found), np.array([len(chunk) for chunk in found], np.int64))
 
 
 def _with_arrays(
@@ -401,78 +409,3 @@ def zip_pack(raw: bytes) -> bytes:
     split[1:] = split[1:] - split[:-1] + np.uint8(128)
     packed = zlib.compress(split.tobytes(), 4)
     return packed if len(packed) < len(raw) else raw
-
-
-# ------------------------------------------------------- what the module says
-
-_lock = threading.Lock()
-
-
-class _OwnThread:
-    """Stands in for ``sys.stdout``: keeps what this thread prints, passes on the others' text."""
-
-    def __init__(self, other: TextIO | None) -> None:
-        self.other, self.thread, self.kept = other, threading.get_ident(), [""]
-
-    def write(self, text: str) -> int:
-        if threading.get_ident() == self.thread:
-            self.kept.append(text)
-        elif self.other is not None:
-            self.other.write(text)
-        return len(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.other, name)
-
-
-@contextmanager
-def _quiet() -> Iterator[list[str]]:
-    """Collect what OpenEXR prints: Python warnings, and C messages on descriptors 1 and 2.
-
-    The list is filled when the block ends. Text of others on the descriptors is passed on then.
-    """
-    said: list[str] = []
-    with _lock, ExitStack() as stack:
-        stdout = _OwnThread(sys.stdout)
-        sys.stdout = stdout  # type: ignore[assignment]
-        try:
-            for number in (1, 2):
-                stack.enter_context(_diverted(number, said))
-            yield said
-        finally:
-            stack.close()
-            if sys.stdout is stdout:
-                sys.stdout = stdout.other  # type: ignore[assignment]
-
-
-def _flush_c() -> None:
-    """Make C's own buffers write out what was printed, while somebody listens."""
-    import ctypes
-
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).fflush(None)
-
-
-@contextmanager
-def _diverted(number: int, said: list[str]) -> Iterator[None]:
-    """Send a file descriptor to a temporary file; sort its lines when the block ends."""
-    try:
-        saved = os.dup(number)
-    except OSError:  # there is no such descriptor: nothing can be printed
-        yield
-        return
-    with tempfile.TemporaryFile() as kept:
-        os.dup2(kept.fileno(), number)
-        try:
-            yield
-        finally:
-            os.dup2(saved, number)
-            os.close(saved)
-            kept.seek(0)
-            for line in kept.read().splitlines(keepends=True):
-                text = line.decode("utf-8", errors="replace").strip()
-                if "EXR_ERR" in text or text.startswith("ojph "):
-                    said.append(_AT.sub("", text))
-                else:
-                    with suppress(OSError):
-                        os.write(number, line)

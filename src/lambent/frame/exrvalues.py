@@ -37,6 +37,25 @@ def value_of(kind: str, raw: bytes) -> Any:
         return raw
 
 
+def well_formed(kind: str, raw: bytes) -> bool:
+    """Whether an attribute is of a known type and its bytes make sense."""
+    if kind == "chlist":
+        return True  # read and checked with the header
+    try:
+        if kind == "string":
+            raw.decode("utf-8")
+        if kind == "preview":
+            width, height = struct.unpack_from("<II", raw)
+            return len(raw) == 8 + 4 * width * height
+        if kind == "tiledesc" and len(raw) != 9:
+            return False
+        if kind == "floatvector" and len(raw) % 4:
+            return False
+        return not isinstance(_value(kind, raw), bytes)
+    except (struct.error, ValueError, IndexError):
+        return False
+
+
 def text_of(raw: bytes) -> str:
     """UTF-8 text; other bytes are shown as U+FFFD."""
     return raw.decode("utf-8", errors="replace")

@@ -25,10 +25,20 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.frame.atomic import atomic
-from lambent.frame.exrfile import ExrFile
+from lambent.frame.exrfile import ExrFile, ExrPart
 from lambent.frame.exrheader import Container, Level, PartHeader
-from lambent.frame.exrpixels import NONE, ZIP, Arrays, bands, decode_rows, encode_rows, survives
+from lambent.frame.exrpixels import (
+    NONE,
+    ZIP,
+    Arrays,
+    Packed,
+    bands,
+    decode_rows,
+    encode_rows,
+    survives,
+)
 from lambent.frame.exrvalues import COMPRESSIONS
+from lambent.frame.exrwhole import write_whole
 
 #: The largest value of a half.
 HALF_MAX = 65504.0
@@ -91,11 +101,12 @@ def encode(
         if not by_part and not attributes:
             _copy(container, out, [(0, container.size)])
             return ()
-        packs = [
-            _Repack(container, part, by_part.get(part.index, {}), notes) for part in container.parts
-        ]
+        packs = [_Repack(container, part, by_part.get(part.index, {}), notes) for part in exr.parts]
         packs[0].add(attributes or {})
-        out.write(_magic(container, attributes or {}))
+        magic = _magic(container, attributes or {})
+        if len(packs) == 1 and packs[0].write_whole(out, magic):
+            return tuple(notes)
+        out.write(magic)
         for pack in packs:
             out.write(pack.header)
         if container.multipart:
@@ -149,11 +160,13 @@ class _Repack:
     def __init__(
         self,
         container: Container,
-        part: PartHeader,
+        of: ExrPart,
         replaced: Mapping[str, NDArray[Any]],
         notes: list[str],
     ) -> None:
-        self.container, self.part, self.replaced = container, part, replaced
+        assert of.pixels is not None
+        self.container, self.pixels, self.replaced = container, of.pixels, replaced
+        part = self.part = of.pixels.packed
         self.target, self.header = part, part.raw
         if not replaced:
             return
@@ -206,7 +219,13 @@ class _Repack:
         """Rows ``[a, b)`` of a level: the others decoded, the replaced ones as given."""
         others = {c.name for c in self.part.channels} - set(shrunk)
         found = {}
-        if others:
+        if others and (level.lx, level.ly) == (0, 0) and (self.pixels.kept or self.pixels.small):
+            for channel in self.part.channels:
+                if channel.name in others:
+                    step = channel.y_sampling
+                    whole = self.pixels.arrays[channel.name]
+                    found[channel.name] = whole[a // step : -(-b // step)]
+        elif others:
             decoded = decode_rows(self.container, self.part, (a, b), level)
             found = {name: decoded[name] for name in others}
         for channel in self.part.channels:
@@ -221,12 +240,37 @@ class _Repack:
         others = [c.name for c in self.part.channels if c.name not in self.replaced]
         if not others:
             return True
-        level = self.part.levels[0]
-        for a, b in bands(self.part):
-            arrays = self._arrays(a, b, level, self.replaced)
-            if not survives(self.part, arrays, a, others):
+        part, level = self.part, self.part.levels[0]
+        if COMPRESSIONS[part.compression] == "pxr24":
+            return self._keeps_24_bits(others)
+        # Mostly the first rows tell already.
+        first = [(0, min(part.lines, level.height))]
+        for a, b in itertools.chain(first, bands(part)):
+            if not survives(part, self._arrays(a, b, level, self.replaced), a, others):
                 return False
         return True
+
+    def _keeps_24_bits(self, others: list[str]) -> bool:
+        """PXR24 drops the last 8 bits of floats: nothing is lost where they are zero already.
+
+        They are, but for chunks that the file holds unpacked since packing made them no smaller.
+        """
+        level = self.part.levels[0]
+        for a, b in bands(self.part):
+            for name, rows in self._arrays(a, b, level, self.replaced).items():
+                if name not in others or rows.dtype != np.float32:
+                    continue
+                if (np.ascontiguousarray(rows).view(np.uint32) & 0xFF).any():
+                    return False
+        return True
+
+    def write_whole(self, out: BinaryIO, magic: bytes) -> bool:
+        """Let the module write the whole file at once, where it can and the part is not large."""
+        if not self.replaced or self.container.multipart or not self.pixels.small:
+            return False
+        level = self.part.levels[0]
+        arrays = self._arrays(0, level.height, level, self.replaced)
+        return write_whole(out, magic + self.header, self.target, arrays)
 
     def write(self, out: BinaryIO) -> NDArray[np.int64]:
         """Append the part's chunks; returns where each one starts."""
@@ -255,16 +299,23 @@ class _Repack:
 
     def _write_packed(self, out: BinaryIO) -> NDArray[np.int64]:
         part, target = self.part, self.target
-        offsets: list[int] = []
+        offsets: list[NDArray[np.int64]] = []
         shrunk: dict[tuple[int, int], dict[str, NDArray[Any]]] = {}
         for level in part.levels:
             here = _level_arrays(part, level, self.replaced, shrunk)
             for a, b in bands(target if target.lines > part.lines else part, level):
                 arrays = self._arrays(a, b, level, here)
-                for chunk in encode_rows(target, arrays, a, level, self.container.multipart):
-                    offsets.append(out.tell())
-                    out.write(chunk)
-        return np.array(offsets, np.int64)
+                packed = encode_rows(target, arrays, a, level, self.container.multipart)
+                offsets.append(append(out, packed))
+        return np.concatenate(offsets)
+
+
+def append(out: BinaryIO, packed: Packed) -> NDArray[np.int64]:
+    """Write chunks at the end; returns where each one starts."""
+    ends = out.tell() + np.cumsum(packed.sizes)
+    for piece in packed.pieces:
+        out.write(piece)
+    return ends - packed.sizes
 
 
 # -------------------------------------------------------------------- levels
