@@ -41,7 +41,10 @@ def scene(height=40, width=52, noise=0.3, variance=False, grey=False, seed=0):
 @pytest.mark.parametrize("variance", VARIANCE)
 @pytest.mark.parametrize("model", MODELS)
 def test_weights_sum_to_one_and_are_the_same_for_all_targets(model, variance):
-    """Constants stay; the filter is linear; layers still sum to the beauty."""
+    """Constants stay; the filter is linear; layers still sum to the beauty.
+
+    To float32: sums of up to 441 terms round by some 1e-6 relative.
+    """
     frame, _ = scene(variance=variance)
     denoiser = create(model).fitted(frame)
     rng = np.random.default_rng(1)
@@ -49,7 +52,7 @@ def test_weights_sum_to_one_and_are_the_same_for_all_targets(model, variance):
     fill = frame.colour - key
     constant = np.full((40, 52, 1), 0.7, np.float32)
     found = denoiser.filter(frame, np.concatenate([frame.colour, key, fill, constant], axis=2))
-    assert np.abs(found[:, :, 9] - 0.7).max() < 2e-6
+    assert np.abs(found[:, :, 9] - 0.7).max() < 6e-6
     assert np.abs(found[:, :, 3:6] + found[:, :, 6:9] - found[:, :, :3]).max() < 5e-6
     alone = denoiser.filter(frame, key)
     assert np.abs(alone - found[:, :, 3:6]).max() < 2e-6
@@ -170,9 +173,9 @@ def test_nlm_on_a_flat_noisy_image_is_nearly_the_box():
     colour = (1 + 0.1 * rng.normal(size=(120, 120, 3))).astype(np.float32)
     variance = np.full_like(colour, 0.01)
     frame = Frame.from_arrays(colour=colour, colour_variance=variance)
-    found = create("nlm", k=1.0)(frame).colour
+    found = create("nlm", radius=5, k=1.0)(frame).colour
     assert 0.8 / 121 < found[10:-10, 10:-10].var() / 0.01 < 2.0 / 121
-    unknown = create("nlm", k=1.0)(Frame.from_arrays(colour=colour)).colour
+    unknown = create("nlm", radius=5, k=1.0)(Frame.from_arrays(colour=colour)).colour
     assert 0.8 / 121 < unknown[10:-10, 10:-10].var() / 0.01 < 2.5 / 121
 
 
@@ -233,3 +236,24 @@ def test_log_colour_compares_by_ratio():
     assert log_colour(np.array([[[-1.0]]], np.float32), 1.0)[0, 0, 0] == pytest.approx(
         math.log(DARK)
     )
+
+
+def test_joint_nlm_mixes_along_a_curved_surface():
+    """A normal that turns by 2 degrees a pixel: neighbours still count, an edge of it does not.
+
+    Known weights, noise-free colour: exp(-(Δ/2)²/(k² max(τ, |∇|²))) with both in unit range.
+    """
+    angle = np.radians(2.0) * np.arange(40, dtype=np.float32)
+    normal = np.zeros((24, 40, 3), np.float32)
+    normal[:, :, 0], normal[:, :, 2] = np.sin(angle), np.cos(angle)
+    normal[:, 30:] = [0, 1, 0]
+    ones = np.ones((24, 40, 3), np.float32)
+    frame = Frame.from_arrays(colour=ones, normal=normal, colour_variance=ones * 0.01)
+    delta = np.zeros((24, 40, 1), np.float32)
+    delta[12, 12] = 1
+    found = create("joint-nlm", radius=3).filter(frame, delta)[12, :, 0]
+    step = (np.sin(angle[12]) - np.sin(angle[14])) / 2
+    assert found[14] / found[12] == pytest.approx(math.exp(-(step**2) / (0.36 * 1e-3)), rel=0.05)
+    delta[12, 12], delta[12, 31] = 0, 1
+    across = create("joint-nlm", radius=3).filter(frame, delta)[12, :, 0]
+    assert across[28] < 1e-3 * across[31]
