@@ -7,7 +7,7 @@ import pytest
 
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import create
-from lambent.filters.statmc import StatMC, johnson
+from lambent.filters.statmc import StatMC, johnson, noise_level
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role
@@ -114,9 +114,40 @@ def test_box_cox_layers_decide():
     flat = np.zeros((24, 24, 3), np.float32)
     for name, image in (("boxcox", flat), ("boxcox_variance", flat + 1), ("boxcox_skew", flat)):
         frame = frame.with_layer(Layer(Role.OTHER, image, name=name))
-    result = StatMC(sigma=1e3)(frame).colour
+    result = StatMC(radius=20, sigma=1e3)(frame).colour
     assert np.ptp(result[12, 8:16]) < 0.5  # the step of 2 is gone
-    assert np.ptp(StatMC(sigma=1e3, boxcox=False)(frame).colour[12, 8:16]) > 1.9
+    assert np.ptp(StatMC(radius=20, sigma=1e3, boxcox=False)(frame).colour[12, 8:16]) > 1.9
+
+
+def firefly():
+    """A flat frame of 1 with deviation 0.1, and one pixel at 50 whose deviation is 40."""
+    rng = np.random.default_rng(5)
+    colour = (1 + 0.1 * rng.standard_normal((40, 40, 1)) * np.ones(3)).astype(np.float32)
+    variance = np.full((40, 40, 3), 0.01, np.float32)
+    colour[20, 20], variance[20, 20] = 50, 1600
+    return Frame.from_arrays(spp=16, colour=colour, colour_variance=variance)
+
+
+def test_firefly_does_not_spread():
+    """The test joins a firefly with all around: it must not be handed to those who know better."""
+    frame = firefly()
+    apart = np.hypot(*np.mgrid[-20:20, -20:20]) > 2  # the 3x3 beside it count as noisy themselves
+    assert np.abs(StatMC()(frame).colour - 1)[apart].max() < 0.1
+    assert np.abs(StatMC()(frame).colour[20, 20] - 1).max() < 1  # and is healed itself
+    spread = StatMC(by_variance=False)(frame).colour
+    assert spread[20, 26].min() > 1.1  # the paper's rule, for comparison
+
+
+def test_noise_level():
+    """3x3 means of the variance; a floor of a thousandth of the mean; no dependence on units."""
+    frame = firefly()
+    level = noise_level(frame)
+    assert level[20, 20] == level[19, 21] == pytest.approx((1600 + 8 * 0.01) / 9, rel=1e-4)
+    assert level[5, 5] == pytest.approx(0.01, rel=1e-3)
+    clean = Frame.from_arrays(colour=frame.colour * 0 + 2, colour_variance=frame.colour * 0)
+    np.testing.assert_allclose(noise_level(clean), 4e-6, rtol=1e-5)
+    with pytest.raises(LayerError, match="variance"):
+        noise_level(Frame.from_arrays(colour=frame.colour))
 
 
 def test_johnson():

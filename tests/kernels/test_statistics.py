@@ -10,7 +10,7 @@ import pytest
 from lambent.kernels.statistics import disc, t_quantile, welch_mean
 
 
-def twin(targets, mean, bound, features, radius, sigma):
+def twin(targets, mean, bound, features, radius, sigma, noise=None):
     height, width, _ = targets.shape
     result = np.zeros(targets.shape)
     for y in range(height):
@@ -24,6 +24,8 @@ def twin(targets, mean, bound, features, radius, sigma):
                         continue
                     gap = ((features[y, x] - features[qy, qx]) ** 2).sum()
                     w = math.exp(-square / (2 * sigma**2) - gap)
+                    if noise is not None:
+                        w *= min(1.0, noise[y, x] / noise[qy, qx])
                     total += w * targets[qy, qx]
                     mass += w
             result[y, x] = total / mass
@@ -48,6 +50,16 @@ def test_without_features():
     none = np.zeros((8, 9, 0), np.float32)
     result = welch_mean(mean, mean, mean, none, 3, 2.0)
     np.testing.assert_allclose(result, twin(mean, mean, mean, none, 3, 2.0), atol=2e-6)
+
+
+def test_noisier_members_weigh_less():
+    """Noise levels over fifteen orders of magnitude."""
+    rng = np.random.default_rng(3)
+    mean = rng.random((8, 9, 3)).astype(np.float32)
+    none = np.zeros((8, 9, 0), np.float32)
+    noise = (10.0 ** rng.integers(-12, 4, (8, 9))).astype(np.float32)
+    result = welch_mean(mean, mean, mean, none, 3, 2.0, noise=noise)
+    np.testing.assert_allclose(result, twin(mean, mean, mean, none, 3, 2.0, noise), atol=2e-6)
 
 
 def test_zero_variance_joins_equals_only():

@@ -15,7 +15,8 @@ which loads two values a channel and pixel. (2) loses all digits where m² ≫ t
 operation more and does not, so (1) it is, with t² v made beforehand.
 
 A member's weight is exp(−|i − j|²/2σ² − Σ_g (g_i − g_j)²/2σ_g²) on feature channels g: symmetric,
-as the test is. Windows are discs.
+as the test is. Windows are discs. With noise levels u the weight is multiplied by min(1, u_i/u_j):
+a member that is noisier than the pixel itself gives less.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from lambent.kernels.arrays import backend
 from lambent.kernels.exponential import exp_weight
+from lambent.kernels.extremes import smaller
 
 Image = NDArray[np.float32]
 
@@ -48,16 +50,20 @@ def welch_mean(
     radius: int,
     sigma: float,
     device: str = "auto",
+    noise: Image | None = None,
 ) -> Image:
     """Means of ``targets`` ``(H, W, C)`` over the members of every pixel's disc.
 
     ``mean`` ``(H, W, M)``: what is tested; ``bound`` ``(H, W, M)``: t² times the variance of each
     mean, so that pixels belong together where (m_i − m_j)² ≤ bound_i + bound_j in all channels.
     ``features`` ``(H, W, G)``, already divided by √2 σ_g. ``sigma``: of the spatial Gaussian, in
-    pixels. The pixel itself always takes part, with weight 1. Returns float32 ``(H, W, C)``.
+    pixels. ``noise`` ``(H, W)``, positive: member j weighs min(1, noise_i/noise_j) times as much.
+    The pixel itself always takes part, with weight 1. Returns float32 ``(H, W, C)``.
     """
     parts = [
-        _welch_mean(targets[:, :, c : c + _CHANNELS], mean, bound, features, radius, sigma, device)
+        _welch_mean(
+            targets[:, :, c : c + _CHANNELS], mean, bound, features, radius, sigma, device, noise
+        )
         for c in range(0, targets.shape[2], _CHANNELS)
     ]
     return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
@@ -71,6 +77,7 @@ def _welch_mean(
     radius: int,
     sigma: float,
     device: str,
+    noise: Image | None,
 ) -> Image:
     import drjit as dr
 
@@ -81,10 +88,14 @@ def _welch_mean(
     b = _planes(jit, bound, radius, 0.0)
     g = _planes(jit, features, radius, 0.0)
     y = _planes(jit, targets, radius, 0.0)
+    quiet = [] if noise is None else _planes(jit, np.float32(1) / noise[:, :, None], radius, 0.0)
     index = dr.arange(jit.UInt32, height * width)
     row = index // width
     here = (row + radius) * pitch + (index - row * width) + radius
-    mp, bp, gp, yp = ([dr.gather(jit.Float, p, here) for p in planes] for planes in (m, b, g, y))
+    mp, bp, gp, yp, up = (
+        [dr.gather(jit.Float, p, here) for p in planes] for planes in (m, b, g, y, quiet)
+    )
+    level = [dr.rcp(u) for u in up]
     offsets, spatial = disc(radius, sigma)
     steps = jit.Int32((offsets[:, 1] * pitch + offsets[:, 0]).astype(np.int32))
     fall = jit.Float(spatial)
@@ -102,6 +113,8 @@ def _welch_mean(
                 d = dr.gather(jit.Float, plane, q) - centre
                 exponent = dr.fma(-d, d, exponent)
             w = dr.select(member, exp_weight(exponent), 0)
+            for plane, centre in zip(quiet, level, strict=True):
+                w *= smaller(dr.gather(jit.Float, plane, q) * centre, jit.Float(1))
             total += w
             for c, plane in enumerate(y):
                 out[c] = dr.fma(w, dr.gather(jit.Float, plane, q), out[c])
