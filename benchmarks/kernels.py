@@ -1,9 +1,11 @@
 """How fast the image kernels are, beside NumPy, scikit-image and OpenCV, and how near the limit.
 
-Run ``python benchmarks/kernels.py [--size 1280x720] [--repeat 5]``; it prints one Markdown table.
-All rows of one run are measured in the same process on the same images; each figure is the median
-of the warm calls, all of which are in the JSON (``--json``). "cold" is the first call in a process
-of its own, with an empty kernel cache, without imports.
+Run ``python benchmarks/kernels.py [--size 1280x720] [--repeat 5]``; it prints two Markdown tables:
+the kernels, and whole filters as `lambent denoise` calls them, on a frame with albedo, normal and
+depth, their variances and half buffers, at radius 5 (five levels). All rows of one run are measured
+in the same process on the same images; each figure is the median of the warm calls, all of which
+are in the JSON (``--json``). "cold" is the first call in a process of its own, with an empty kernel
+cache, without imports.
 
 The limit of a kernel is the greater of two times: the bytes that its launches must move over the
 bandwidth of a Dr.Jit copy kernel, and its floating-point operations over the rate of a Dr.Jit
@@ -115,7 +117,7 @@ def cases(height: int, width: int, peers: bool = True) -> list[Case]:
     from lambent.filters.bilateral import gaussian_weight, log_gaussian
     from lambent.kernels.atrous import atrous
     from lambent.kernels.nlm import PatchSearch, nlm_mean, squared_difference
-    from lambent.kernels.window import weighted_window
+    from lambent.kernels.window import _launches, weighted_window
 
     colour, features = images(height, width)
     sigma_d, sigma_r, h = 2.5, 0.2, 0.1
@@ -128,9 +130,10 @@ def cases(height: int, width: int, peers: bool = True) -> list[Case]:
         return PatchSearch.of(colour, None, RADIUS, PATCH, squared_difference, (1 / h**2, 0.0))
 
     def window_cost(guide: int) -> tuple[float, float]:
-        # a launch a row: centre, neighbours, mask, targets, sums in and out
-        moved = 4 * side * (2 * guide + 1 + 3 + 2 * 4)
-        return moved, taps * (3 * guide + 18 + 1 + 2 * 4)
+        # each launch: centre, neighbours, mask, targets, sums in and out
+        launches = len(list(_launches(RADIUS, guide + 3 + 1)))
+        moved = 4 * launches * (2 * guide + 1 + 3 + 2 * 4)
+        return moved, taps * (3 * guide + 18 + 2 * 4)
 
     # four launches for a row of the upper half: differences, means along the rows, along the
     # columns with the exp, and sums for both directions
@@ -190,6 +193,44 @@ def cases(height: int, width: int, peers: bool = True) -> list[Case]:
             [bytes_image], 0, 1, None, h * 255, 2 * PATCH + 1, side
         )
     return found
+
+
+# ----------------------------------------------------------- whole filters
+
+
+def filters(height: int, width: int) -> list[tuple[str, str, Callable[[], Any]]]:
+    """Name, parameters and call of every filter whose kernel is measured."""
+    from lambent.filters.denoiser import create
+    from lambent.frame.frame import Frame
+
+    colour, features = images(height, width)
+    rng = np.random.default_rng(1)
+    noise = 0.05 * rng.normal(size=colour.shape).astype(np.float32)
+    frame = Frame.from_arrays(
+        colour=colour,
+        colour_variance=np.full_like(colour, 0.0064),
+        colour_half_a=colour + noise,
+        colour_half_b=colour - noise,
+        albedo=np.ascontiguousarray(features[:, :, :3]),
+        albedo_variance=np.full_like(colour, 1e-4),
+        normal=np.ascontiguousarray(features[:, :, 3:]),
+        normal_variance=np.full_like(colour, 1e-4),
+        depth=1 + features[:, :, 0],
+        depth_variance=np.full((height, width), 1e-4, np.float32),
+    )
+
+    def case(model: str, **options: Any) -> tuple[str, str, Callable[[], Any]]:
+        denoiser = create(model, **options).fitted(frame)
+        said = ", ".join(f"{name} {value}" for name, value in options.items())
+        return model, said, lambda: denoiser.filter(frame, colour)
+
+    return [
+        case("bilateral", radius=RADIUS),
+        case("cross-bilateral", radius=RADIUS),
+        case("atrous", levels=LEVELS),
+        case("nlm", radius=RADIUS),
+        case("joint-nlm", radius=RADIUS),
+    ]
 
 
 # --------------------------------------------------------------- measuring
@@ -299,9 +340,17 @@ def main() -> None:
             print(f"| {' | '.join([*left, peer, f'{there:.2f}', f'{there / ours:.1f}'])} |")
         sys.stdout.flush()
         rows.append(row)
+    print("\n| filter, with variances | ours s |\n|---|---|")
+    whole = {}
+    for model, said, call in filters(height, width):
+        call()
+        whole[model] = seconds(call, min(3, options.repeat))
+        print(f"| {model}, {said} | {statistics.median(whole[model]):.2f} |", flush=True)
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
-            json.dump({"bandwidth": stream, "fma": rate, "rows": rows}, file, indent=1)
+            json.dump(
+                {"bandwidth": stream, "fma": rate, "rows": rows, "filters": whole}, file, indent=1
+            )
 
 
 if __name__ == "__main__":
