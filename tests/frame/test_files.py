@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import exr_samples
@@ -11,6 +13,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from lambent.denoise.files import denoise_file
 from lambent.errors import FileError, LayerError, OptionError, OutputError
 from lambent.frame.exr import decode
 from lambent.frame.files import read, read_views, write, write_noted, write_views
@@ -291,3 +294,88 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
         read(tmp_path / "a.gif")
     with pytest.raises(OutputError, match="stereo"):
         write_views(tmp_path / "a.png", {"": Frame.from_arrays(colour=np.ones((1, 1, 3)))})
+
+
+LIMITED = """
+import resource, sys
+from lambent.errors import LambentError
+from lambent.frame.files import read, write
+frame = read(sys.argv[1])
+layer = next(iter(frame.all_layers()))
+import OpenEXR  # its library takes room too
+OpenEXR.set_global_thread_count(1)
+kind, size = getattr(resource, sys.argv[3]), int(sys.argv[4])
+if sys.argv[3] == "RLIMIT_AS":
+    size += int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(kind, (size, resource.getrlimit(kind)[1]))
+try:
+    changed = frame.with_layer(layer.with_data(layer.data * 2))
+    print("read", flush=True)
+    write(sys.argv[2], changed)
+except LambentError as error:
+    print(type(error).__name__, error, error.remedy is not None)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits work so on Linux")
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("compression", ["ZIP", "ZSTD"])
+def test_limits_of_the_system(compression: str, parts: int, tmp_path: Path) -> None:
+    """A limit on file sizes (files in memory count) or on memory: our errors, with a remedy."""
+    pixels = {c: np.random.default_rng(1).random((700, 700), np.float32) for c in "RGB"}
+    if f"{compression}_COMPRESSION" not in exr_samples.COMPRESSIONS:
+        compression = "PIZ"
+    content = exr_samples.content(f"{compression}_COMPRESSION", parts=parts, channels=pixels)
+    (tmp_path / "in.exr").write_bytes(content)
+
+    def limited(kind: str, size: int) -> str:
+        command = [sys.executable, "-c", LIMITED, str(tmp_path / "in.exr"), str(tmp_path / "o.exr")]
+        done = subprocess.run(
+            [*command, kind, str(size)], capture_output=True, text=True, check=False
+        )
+        assert done.stderr == ""
+        return done.stdout
+
+    # Reading needs no file; writing meets the limit where it is met.
+    said = limited("RLIMIT_FSIZE", 1 << 20)
+    assert said.startswith("read\nOutputError"), said
+    assert "no files of that size" in said
+    said = limited("RLIMIT_AS", 8 << 20)
+    assert said.startswith("FileError"), said
+    assert "not enough memory" in said
+    assert said.endswith("True\n")
+    assert os.listdir(tmp_path) == ["in.exr"]
+
+
+def test_nan_outside_what_was_filtered_stays(tmp_path: Path) -> None:
+    """Repaired, denoised and written: every channel but the filtered ones has its old bits.
+
+    NaNs of several kinds among them, ids beyond 2**24, and the negative zero.
+    """
+    rng = np.random.default_rng(4)
+    kinds = np.array([0x7FC00000, 0x7FC12345, 0xFFC00001, 0x7F800000, 0x80000000], np.uint32)
+    planes: dict[str, np.ndarray] = {
+        name: rng.random((24, 30), np.float32)
+        for name in (
+            *("R", "G", "B", "A", "depth.Z", "odd.thing"),
+            *(f"{layer}.{c}" for layer in ("albedo", "emission") for c in "RGB"),
+            *(f"normal.{c}" for c in "XYZ"),
+        )
+    }
+    for plane in planes.values():
+        plane.flat[rng.integers(0, plane.size, 5)] = kinds.view(np.float32)
+    planes["id"] = rng.integers(2**25, 2**32, (24, 30), dtype=np.uint32)
+    planes["half.Z"] = np.array([0x7E00, 0x7E01, 0xFE55, 0x7C00], np.uint16).view(np.float16)[
+        rng.integers(0, 4, (24, 30))
+    ]
+    (tmp_path / "in.exr").write_bytes(exr_samples.content(channels=planes))
+    result = denoise_file(
+        tmp_path / "in.exr", tmp_path / "out.exr", model="box", passes="beauty", alpha=False
+    )
+    assert result.repairs
+    after = exr_samples.bare(tmp_path / "out.exr")[0]
+    assert list(after) == sorted(planes)
+    for name, plane in planes.items():
+        same = after[name].tobytes() == plane.tobytes()
+        assert same == (name not in ("R", "G", "B")), name
+    assert np.isfinite(after["R"]).all()

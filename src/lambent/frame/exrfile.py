@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.frame.exrheader import Container, PartHeader
+from lambent.frame.exrmodule import enough_memory
 from lambent.frame.exrpixels import NONE, Arrays, bands, decode_rows
 from lambent.frame.exrvalues import COMPRESSIONS
 from lambent.frame.exrwhole import read_whole
@@ -64,8 +65,9 @@ class Pixels:
     @cached_property
     def arrays(self) -> Arrays:
         """Every channel, decoded together and kept."""
-        whole = read_whole(self.file) if self._alone else None
-        return _frozen(whole[0] if whole else decode_rows(self.file, self.packed))
+        with enough_memory(self.file.path):
+            whole = read_whole(self.file) if self._alone else None
+            return _frozen(whole[0] if whole else decode_rows(self.file, self.packed))
 
     @property
     def _alone(self) -> bool:

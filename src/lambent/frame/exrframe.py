@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError, OptionError
 from lambent.frame.exrfile import ExrFile, ExrPart
+from lambent.frame.exrmodule import enough_memory
 from lambent.frame.exrwrite import beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer, Source
@@ -160,7 +161,8 @@ class _Loader:
                 if found not in group:
                     group = [found]  # asked for a second time
                 self.waiting = [f for f in self.waiting if f not in group]
-                self._decode(group)
+                with enough_memory(self.exr.path):
+                    self._decode(group)
             return self.done.pop(id(found))
 
     def _decode(self, group: list[Found]) -> None:

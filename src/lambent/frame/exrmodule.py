@@ -56,16 +56,26 @@ def parts_of(
     reason = ""
     with quiet() as said:
         try:
-            found = list(exr.File(place, separate_channels=True, num_threads=threads).parts)
-        except MemoryError as error:
-            raise no_memory(file) from error
+            with enough_memory(file):
+                found = list(exr.File(place, separate_channels=True, num_threads=threads).parts)
+        except FileError:
+            raise
         except Exception as error:  # the module raises many kinds; all mean the same here
             found, reason = [], _AT.sub("", str(error))
-        if "bad_alloc" in reason:
+        if "bad_alloc" in reason or "OUT_OF_MEMORY" in reason:
             raise no_memory(file)
         if not found or talkative:
             _flush_c()
     return found, "" if found else "; ".join(filter(None, [reason, *said]))
+
+
+@contextmanager
+def enough_memory(file: object) -> Iterator[None]:
+    """Tell in our own words where memory runs out. Raises `FileError`."""
+    try:
+        yield
+    except MemoryError as error:
+        raise no_memory(file) from error
 
 
 def no_memory(file: object) -> FileError:

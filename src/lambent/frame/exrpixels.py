@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import FileError
 from lambent.frame.exrheader import Container, Level, PartHeader
-from lambent.frame.exrmodule import memory_file, module, name_of, parts_of, quiet
+from lambent.frame.exrmodule import enough_memory, memory_file, module, name_of, parts_of, quiet
 from lambent.frame.exrvalues import COMPRESSIONS
 from lambent.frame.magic import EXR_MAGIC
 
@@ -87,6 +87,9 @@ def decode_rows(
     with _codec_file(container, part, level, chosen, a, b) as (place, threads):
         found, reason = parts_of(place, threads, container.path, talkative)
     if not found:
+        if not reason or "MEMORY" in reason:
+            with enough_memory(container.path):  # the module may not tell that this was the cause
+                np.empty(2 * part.unpacked, np.uint8)
         reason = reason or "OpenEXR gave no reason"
         container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
     channels = found[0].channels
