@@ -7,8 +7,9 @@ import pytest
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import create
-from lambent.filters.nfor import NFOR, box_mean, spatial_variance
+from lambent.filters.nfor import NFOR, box_mean, limit, spatial_variance
 from lambent.frame.frame import Frame
+from lambent.frame.role import Role, Stat
 
 
 def rendered(height=48, width=56, noise=0.3, seed=0, **drop):
@@ -40,16 +41,45 @@ ALL = {**HALVES, "colour_variance": 0}
 
 
 @pytest.mark.parametrize(
-    ("drop", "gain"), [({}, 12), (HALVES, 7), (ALL, 6)], ids=["halves", "variance", "plain"]
+    ("drop", "gain", "wide"),
+    [({}, 3, 12), (HALVES, 2, 8), (ALL, 2.5, 8)],
+    ids=["halves", "variance", "plain"],
 )
-def test_lowers_the_error(drop, gain):
-    """Each of the three kinds of frame; the texture in the albedo must survive."""
+def test_lowers_the_error(drop, gain, wide):
+    """Each of the three kinds of frame; the texture in the albedo must survive.
+
+    Noise is even here and features explain everything, so that a wide k is best.
+    """
     frame, clean = rendered(**drop)
-    result = NFOR()(frame).colour
     before = np.mean((frame.colour - clean) ** 2)
-    after = np.mean((result - clean) ** 2)
-    assert after < before / gain
+    assert np.mean((NFOR()(frame).colour - clean) ** 2) < before / gain
+    assert np.mean((NFOR(k=1.0)(frame).colour - clean) ** 2) < before / wide
     assert (len(NFOR().remarks(frame)) == 0) == (not drop)
+
+
+def test_nothing_rings_beside_a_firefly():
+    """No value below zero, and none above the frame's own, where planes would be steep."""
+    frame, _ = rendered(noise=0.1)
+    fly = np.zeros((48, 56, 1), np.float32)
+    fly[::9, ::8] = 60.0
+    half = {"colour_half_a": 2 * fly, "colour_half_b": 0 * fly, "colour_variance": fly**2}
+    arrays = {
+        "colour": frame.colour + fly,
+        "colour_half_a": frame[Role.COLOUR, Stat.HALF_A] + half["colour_half_a"],
+        "colour_half_b": frame[Role.COLOUR, Stat.HALF_B],
+        "colour_variance": frame[Role.COLOUR, Stat.VARIANCE] + half["colour_variance"],
+    }
+    guides = {role.value: frame[role] for role in (Role.ALBEDO, Role.NORMAL, Role.DEPTH)}
+    result = NFOR()(Frame.from_arrays(spp=8, **arrays, **guides)).colour
+    assert result.min() > -1e-5
+    assert result.max() <= 61.5
+
+
+def test_limit_is_a_share():
+    """Half the way where the plane is below zero as far as the mean is above; none from zero."""
+    mean = np.array([[[1.0, 1.0, 1.0], [1.0, 2.0, 1.0], [0.0, 1.0, 1.0]]], np.float32)
+    plane = np.array([[[0.5, 1.0, 2.0], [-1.0, 2.0, 1.0], [0.1, 1.0, 1.0]]], np.float32)
+    np.testing.assert_allclose(limit(plane, mean)[0, :, 0], [1.0, 0.5, 0.0])
 
 
 def test_layers_still_sum():
@@ -107,10 +137,10 @@ def test_tiles_equal_the_whole():
 
 
 def test_centres_on_every_pixel():
-    """The paper's own stride and every other pixel: the same error within a third."""
+    """The paper's own stride and every other pixel: the same error within a half."""
     frame, clean = rendered()
     error = [np.mean((NFOR(stride=s)(frame).colour - clean) ** 2) for s in (1, 2)]
-    assert error[0] == pytest.approx(error[1], rel=0.33)
+    assert error[0] == pytest.approx(error[1], rel=0.5)
 
 
 def test_spatial_variance_finds_the_noise():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lambent.kernels.regression import OWN_WEIGHT, Window, first_order, patch_weights, spread
+from lambent.kernels.regression import OWN_WEIGHT, Window, first_order, patch_weights, zeroth_order
 
 
 def twin_weights(guide, variance, window, k=1.0):
@@ -130,15 +130,25 @@ def test_many_channels_are_those_alone(noisy):
     np.testing.assert_allclose(together[:, :, 6:], alone[:, :, ::-1], atol=1e-5)
 
 
-def test_spread_is_a_mean_of_centres(noisy):
-    """Values at centres of 0 and 1 stay within; a constant stays."""
+@pytest.mark.parametrize(("stride", "power"), [(1, 1), (2, 4), (3, 2)])
+def test_zeroth_order_is_a_mean_of_means(noisy, stride, power):
+    """The text of the equation, and so within the range of the image; a constant stays."""
     _, image, variance = noisy
-    weights = patch_weights(image, variance, Window(3, 1, 2))
-    half = (image[:, :, :1] > 0.5).astype(np.float32)
-    result = spread(weights, np.concatenate([half, np.full_like(half, 7)], axis=2))
-    assert result[:, :, 0].min() >= 0
-    assert result[:, :, 0].max() <= 1 + 1e-6
-    np.testing.assert_allclose(result[:, :, 1], 7, rtol=1e-6)
+    window = Window(3, 1, stride)
+    weights = patch_weights(image, variance, window)
+    stack = np.concatenate([image, np.full_like(image[:, :, :1], 7)], axis=2)
+    result = zeroth_order(weights, stack, power)
+    twin = twin_weights(image, variance, window)
+    total, mass = OWN_WEIGHT * stack.astype(np.float64), np.full((13, 15, 1), OWN_WEIGHT)
+    for centre in {key[:2] for key in twin}:
+        near = {key[2:]: w**power for key, w in twin.items() if key[:2] == centre}
+        mean = sum(w * stack[q] for q, w in near.items()) / sum(near.values())
+        for q, w in near.items():
+            total[q] += w * mean
+            mass[q] += w
+    np.testing.assert_allclose(result, total / mass, atol=2e-4)
+    assert result[:, :, :3].min() >= image.min() - 1e-6
+    assert result[:, :, :3].max() <= image.max() + 1e-6
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 17), (9, 1)])

@@ -15,7 +15,7 @@ Gram matrix.
 How it runs, and why. The weights come from 7x7 patch distances, which are cheap only offset by
 offset (box filter), while the Gram matrix wants all offsets of a pixel together in registers. So
 the weights are written out once (one plane an offset, neighbours in x side by side), and the
-regression reads them back: 361 floats a centre, next to the 85 multiply-adds a pair that the Gram
+regression reads them back: 361 floats a centre, next to the 95 multiply-adds a pair that the Gram
 matrix costs. The narrow bandwidth k/2 needs no second set of distances: with w = exp(−D/k²) it is
 w⁴. Everything is written as a loop *inside* the kernel: unrolled, LLVM needs longer than the image.
 ``stride`` places centres on every ``stride``-th pixel only; every pixel is still predicted by all
@@ -276,27 +276,6 @@ def first_order(
     return results
 
 
-def spread(weights: Weights, images: Image) -> Image:
-    """Weighted means of the values *at the centres* near every pixel: Σ_c w_cp v_c / Σ_c w_cp.
-
-    ``images`` ``(H, W, C)``; the same shape comes back. What smooths maps of errors.
-    """
-    import drjit as dr
-
-    jit = backend(weights.device)
-    s = weights.window.stride
-    values = [
-        jit.Float(np.ascontiguousarray(v[::s, ::s]).ravel()) for v in np.moveaxis(images, 2, 0)
-    ]
-
-    def visit(near: _Near, w: Any, out: list[Any]) -> list[Any]:
-        here = [dr.gather(jit.Float, v, near.centre, near.ok) for v in values]
-        return [dr.fma(w, v, o) for v, o in zip(here, out, strict=True)]
-
-    own = [jit.Float(np.ascontiguousarray(images[:, :, c]).ravel()) for c in range(len(values))]
-    return _from_centres(jit, weights, 1, own, visit)
-
-
 def _power(w: Any, power: int) -> Any:
     """``w`` to a power of 1, 2 or 4."""
     while power > 1:
@@ -313,6 +292,7 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     pitch = width + 2 * R
     f = [_plane(jit, features[:, :, i], R) for i in range(features.shape[2])]
     y = [_plane(jit, images[:, :, c], R) for c in range(images.shape[2])]
+    packets = _packets(jit, np.concatenate([features, images], axis=2), R)
     n, C = len(f) + 3, len(y)
     rows_c, cols_c = window.centres(height), window.centres(width)
     n_centres = rows_c * cols_c
@@ -330,8 +310,9 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     def add(*state: Any) -> tuple[Any, ...]:
         o, dx, q, at, ex, ey, *sums = state
         w = _power(dr.gather(jit.Float, weights.planes, at), power)
-        x = [None, ex, ey] + [dr.gather(jit.Float, p, q) - c for p, c in zip(f, fc, strict=True)]
-        v = [dr.gather(jit.Float, p, q) - c for p, c in zip(y, yc, strict=True)]
+        there = _packet(jit, packets, q)
+        x = [None, ex, ey] + [there[i] - c for i, c in enumerate(fc)]
+        v = [there[len(fc) + i] - c for i, c in enumerate(yc)]
         wx = [w] + [w * xi for xi in x[1:]]
         for m, (i, j) in enumerate(pairs):
             sums[m] = sums[m] + wx[j] if i == 0 else dr.fma(wx[i], x[j], sums[m])
@@ -381,37 +362,108 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     dr.eval(table)
 
     # ------------------------------------------------ every pixel, from all centres near
-    index = dr.arange(jit.UInt32, height * width)
-    py = index // width
-    here = (py + R) * pitch + (index - py * width) + R
-    fp = [dr.gather(jit.Float, p, here) for p in f]
+    block = _Block(window, height, width)
+    fp = [[dr.gather(jit.Float, p, at) for p in f] for at in block.padded(jit)]
 
-    def visit(near: _Near, w: Any, out: list[Any]) -> list[Any]:
-        coefficients: list[Any] = []
+    def load(centre: Any, ok: Any) -> list[Any]:
+        found: list[Any] = []
         for g in range(per // 4):
-            coefficients += list(
-                dr.gather(jit.Array4f, table, near.centre * (per // 4) + g, near.ok)
-            )
-        x = [None, near.dx * (1.0 / R), near.dy * (1.0 / R), *fp]
+            found += list(dr.gather(jit.Array4f, table, centre * (per // 4) + g, ok))
+        return found
+
+    def predict(coefficients: list[Any], pixel: int, dx: Any, dy: Any) -> list[Any]:
+        x = [None, dx * (1.0 / R), dy * (1.0 / R), *fp[pixel]]
+        values = []
         for c in range(C):
             value = coefficients[c * n]
             for k in range(1, n):
                 value = dr.fma(coefficients[c * n + k], x[k], value)
-            out[c] = dr.fma(w, value, out[c])
-        return out
+            values.append(value)
+        return values
 
-    own = [dr.gather(jit.Float, p, here) for p in y]
-    return _from_centres(jit, weights, power, own, visit)
+    return _from_centres(jit, weights, power, y, load, predict)
 
 
-@dataclass
-class _Near:
-    """A centre near a pixel, inside a kernel: its index, whether it is one, and pixel − centre."""
+def zeroth_order(weights: Weights, images: Image, power: int = 1) -> Image:
+    """As `first_order`, with constants instead of planes: weighted means of weighted means.
 
-    centre: Any
-    ok: Any
-    dx: Any
-    dy: Any
+    Within the range of ``images`` ``(H, W, C)``, whose shape comes back.
+    """
+    import drjit as dr
+
+    jit = backend(weights.device)
+    window, height, width = weights.window, weights.height, weights.width
+    R, s = window.radius, window.stride
+    pitch = width + 2 * R
+    y = [_plane(jit, images[:, :, c], R) for c in range(images.shape[2])]
+    cols_c = window.centres(width)
+    n_centres = window.centres(height) * cols_c
+    index = dr.arange(jit.UInt32, n_centres)
+    cy = index // cols_c
+    first = cy * s * pitch + (index - cy * cols_c) * s
+
+    def add(o: Any, dx: Any, q: Any, at: Any, total: Any, *sums: Any) -> tuple[Any, ...]:
+        w = _power(dr.gather(jit.Float, weights.planes, at), power)
+        more = [dr.fma(w, dr.gather(jit.Float, p, q), t) for p, t in zip(y, sums, strict=True)]
+        wrap = dx == 2 * R
+        step = dr.select(wrap, jit.UInt32(pitch - 2 * R), jit.UInt32(1))
+        return (o + 1, dr.select(wrap, 0, dx + 1), q + step, at + n_centres, total + w, *more)
+
+    zeros = [dr.zeros(jit.Float, n_centres) for _ in range(len(y) + 1)]
+    done = dr.while_loop(
+        (jit.UInt32(0), jit.UInt32(0), first, jit.UInt32(index), *zeros),
+        lambda o, *_: o < window.offsets(),
+        add,
+    )
+    means = [value / done[4] for value in done[5:]]
+    dr.eval(means)
+
+    def load(centre: Any, ok: Any) -> list[Any]:
+        return [dr.gather(jit.Float, m, centre, ok) for m in means]
+
+    return _from_centres(jit, weights, power, y, load, lambda loaded, *_: loaded)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The pixels of one thread: 2x2 where the stride is even, since they share their centres."""
+
+    window: Window
+    height: int
+    width: int
+
+    @property
+    def side(self) -> int:
+        return 1 + (self.window.stride + 1) % 2
+
+    def corners(self, jit: Any) -> tuple[Any, Any]:
+        """x and y of the first pixel of every block."""
+        import drjit as dr
+
+        across, down = -(-self.width // self.side), -(-self.height // self.side)
+        index = dr.arange(jit.UInt32, across * down)
+        row = index // across
+        return (index - row * across) * self.side, row * self.side
+
+    def pixels(self) -> list[tuple[int, int]]:
+        """(x, y) of every pixel of a block."""
+        return [(x, y) for y in range(self.side) for x in range(self.side)]
+
+    def padded(self, jit: Any) -> list[Any]:
+        """For every pixel of a block its index in a plane with a border of the radius."""
+        R = self.window.radius
+        x, y = self.corners(jit)
+        return [(y + j + R) * (self.width + 2 * R) + x + i + R for i, j in self.pixels()]
+
+    def image(self, values: list[list[Any]]) -> Image:
+        """The image ``(H, W, C)`` of the values of every pixel of the blocks."""
+        b = self.side
+        across, down = -(-self.width // b), -(-self.height // b)
+        whole = np.empty((down * b, across * b, len(values[0])), np.float32)
+        for (i, j), here in zip(self.pixels(), values, strict=True):
+            for c, value in enumerate(here):
+                whole[j::b, i::b, c] = value.numpy().reshape(down, across)
+        return whole[: self.height, : self.width]
 
 
 def _from_centres(
@@ -419,11 +471,14 @@ def _from_centres(
     weights: Weights,
     power: int,
     own: list[Any],
-    visit: Callable[[_Near, Any, list[Any]], list[Any]],
+    load: Callable[[Any, Any], list[Any]],
+    predict: Callable[[list[Any], int, Any, Any], list[Any]],
 ) -> Image:
-    """For every pixel the weighted mean of what ``visit`` adds for each centre near it.
+    """For every pixel the weighted mean of what each centre near it predicts.
 
-    ``own``: the pixels' own values, which count with `OWN_WEIGHT`. Returns ``(H, W, len(own))``.
+    ``own``: padded planes of the pixels' own values, which count with `OWN_WEIGHT`. ``load``: what
+    is known of a centre (index, mask); ``predict``: values from that, the number of the pixel in
+    its block, and pixel − centre. Returns ``(H, W, len(own))``.
     """
     import drjit as dr
 
@@ -431,43 +486,48 @@ def _from_centres(
     R, s = window.radius, window.stride
     rows_c, cols_c = window.centres(height), window.centres(width)
     n_centres = rows_c * cols_c
-    index = dr.arange(jit.UInt32, height * width)
-    py = index // width
-    px = index - py * width
+    block = _Block(window, height, width)
+    pixels = block.pixels()
+    px, py = block.corners(jit)
     # The first centre at or after p − R, by a division of what is not negative.
     cy0 = jit.Int32((py + (R * s - R + s - 1)) // s) - R
     cx0 = jit.Int32((px + (R * s - R + s - 1)) // s) - R
-    reach = 2 * R // s + 1
+    reach = (2 * R + block.side - 1) // s + 1
+    per = len(own) + 1
 
     def step(*state: Any) -> tuple[Any, ...]:
-        t, i, ccy, ccx, total, *out = state
-        dy = jit.Int32(py) - ccy * s
-        dx = jit.Int32(px) - ccx * s
-        ok = (ccy >= 0) & (ccy < rows_c) & (ccx >= 0) & (ccx < cols_c) & (dy >= -R) & (dx >= -R)
+        t, i, ccy, ccx, *out = state
+        inside = (ccy >= 0) & (ccy < rows_c) & (ccx >= 0) & (ccx < cols_c)
         centre = jit.UInt32(ccy * cols_c + ccx)
-        plane = jit.UInt32((dy + R) * (2 * R + 1) + dx + R)
-        w = _power(dr.gather(jit.Float, weights.planes, plane * n_centres + centre, ok), power)
-        out = visit(_Near(centre, ok, jit.Float(dx), jit.Float(dy)), w, out)
+        known = load(centre, inside)
+        for number, (ox, oy) in enumerate(pixels):
+            dx, dy = jit.Int32(px) + ox - ccx * s, jit.Int32(py) + oy - ccy * s
+            ok = inside & (dx >= -R) & (dx <= R) & (dy >= -R) & (dy <= R)
+            plane = jit.UInt32((dy + R) * (2 * R + 1) + dx + R)
+            w = _power(dr.gather(jit.Float, weights.planes, plane * n_centres + centre, ok), power)
+            values = [1.0, *predict(known, number, jit.Float(dx), jit.Float(dy))]
+            for c, value in enumerate(values):
+                out[number * per + c] = dr.fma(w, value, out[number * per + c])
         wrap = i == reach - 1
         return (
             t + 1,
             dr.select(wrap, 0, i + 1),
             dr.select(wrap, ccy + 1, ccy),
             dr.select(wrap, ccx - (reach - 1), ccx + 1),
-            total + w,
             *out,
         )
 
-    start = [value * OWN_WEIGHT for value in own]
+    start: list[Any] = []
+    for at in block.padded(jit):
+        start += [jit.Float(OWN_WEIGHT)]
+        start += [dr.gather(jit.Float, plane, at) * OWN_WEIGHT for plane in own]
     done = dr.while_loop(
-        (jit.UInt32(0), jit.UInt32(0), cy0, cx0, jit.Float(OWN_WEIGHT), *start),
-        lambda t, *_: t < reach * reach,
-        step,
+        (jit.UInt32(0), jit.UInt32(0), cy0, cx0, *start), lambda t, *_: t < reach * reach, step
     )
-    scale = dr.rcp(done[4])
-    means = [value * scale for value in done[5:]]
+    sums = [done[4 + k * per : 4 + (k + 1) * per] for k in range(len(pixels))]
+    means = [[value * dr.rcp(here[0]) for value in here[1:]] for here in sums]
     dr.eval(means)
-    return np.stack([value.numpy().reshape(height, width) for value in means], axis=2)
+    return block.image(means)
 
 
 def _solve(
