@@ -131,12 +131,18 @@ class Planes:
     @classmethod
     def of(cls, image: NDArray[Any], layout: Layout, module: ModuleType) -> Planes:
         """Planes of ``(H, W, C)`` or ``(H, W)``. What is not finite becomes 0 (see `valid`)."""
-        if image.ndim == 2:
-            image = image[:, :, None]
-        memory = aligned((image.shape[2], layout.rows, layout.stride))
+        return cls.stacked([image if image.ndim == 3 else image[:, :, None]], layout, module)
+
+    @classmethod
+    def stacked(cls, images: Sequence[NDArray[Any]], layout: Layout, module: ModuleType) -> Planes:
+        """Planes of the channels of several images ``(H, W, C)``, one after the other."""
+        memory = aligned((sum(i.shape[2] for i in images), layout.rows, layout.stride))
         inside = memory[:, layout.margin_rows : layout.margin_rows + layout.height, : layout.width]
-        for channel in range(image.shape[2]):
-            inside[channel] = image[:, :, channel]
+        first = 0
+        for image in images:
+            for channel in range(image.shape[2]):
+                inside[first + channel] = image[:, :, channel]
+            first += image.shape[2]
         if not all_finite(memory):
             memory[~np.isfinite(memory)] = 0.0
         return cls(layout, memory, module)

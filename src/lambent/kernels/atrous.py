@@ -64,7 +64,7 @@ def atrous(
     results = []
     for first in range(0, targets.shape[2], _CHANNELS):
         part = targets[:, :, first : first + _CHANNELS]
-        state = Planes.of(np.concatenate([guide, part], axis=2), wavelet.layout, wavelet.module)
+        state = Planes.stacked([guide, part], wavelet.layout, wavelet.module)
         for level, factors in enumerate(scales):
             last = level == len(scales) - 1
             channels = range(guide.shape[2] if last else 0, len(state))
@@ -73,7 +73,8 @@ def atrous(
                 results.append(to_image(values, wavelet.layout))
             else:
                 state = state.refilled(values)
-    return keep_untouched(np.concatenate(results, axis=2), targets)
+    whole = results[0] if len(results) == 1 else np.concatenate(results, axis=2)
+    return keep_untouched(whole, targets)
 
 
 def atrous_row(
@@ -99,14 +100,15 @@ def atrous_row(
     row = np.zeros((*guide.shape[:2], 1), np.float32)
     row[y, x] = 1.0
     valid = wavelet.valid[:, :, None]
+    inside = Planes.of(np.ones_like(wavelet.valid), layout, module)
     for level in reversed(range(len(scales))):
-        state = Planes.of(np.concatenate([images[level], row], axis=2), layout, module)
+        state = Planes.stacked([images[level], row], layout, module)
         (total,) = wavelet.sums(state, range(0), level, scales[level], wavelet.mask)
         weights = to_image([total], layout)
         share = np.divide(row, weights, out=np.zeros_like(row), where=weights > 0)
-        state = Planes.of(np.concatenate([images[level], share], axis=2), layout, module)
+        state = Planes.stacked([images[level], share], layout, module)
         channel = range(len(state) - 1, len(state))
-        spread, _ = wavelet.sums(state, channel, level, scales[level], wavelet.inside)
+        spread, _ = wavelet.sums(state, channel, level, scales[level], inside)
         row = to_image([spread], layout) * valid + np.where(weights > 0, np.float32(0), row)
     return np.ascontiguousarray(row[:, :, 0])
 
@@ -124,7 +126,6 @@ class _Wavelet:
     noise: Planes | None
     valid: FloatImage
     mask: Planes
-    inside: Planes
     channels: int
 
     @classmethod
@@ -142,8 +143,8 @@ class _Wavelet:
         valid = valid_pixels(guide, features, noise, targets)
         fixed = None if features is None else Planes.of(features, layout, module)
         unsure = None if noise is None else Planes.of(noise, layout, module)
-        mask, inside = (Planes.of(m, layout, module) for m in (valid, np.ones_like(valid)))
-        return cls(layout, module, fixed, unsure, valid, mask, inside, guide.shape[2])
+        mask = Planes.of(valid, layout, module)
+        return cls(layout, module, fixed, unsure, valid, mask, guide.shape[2])
 
     def level(
         self, state: Planes, channels: Sequence[int], level: int, factors: tuple[float, float]

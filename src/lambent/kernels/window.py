@@ -146,7 +146,8 @@ class WeightedSums:
     def mean(self) -> FloatImage:
         """The weighted mean ``(H, W, C)``; a pixel without any weight keeps its value."""
         parts = [to_image([s / self._total for s in sums], self._layout) for sums in self._sums]
-        return keep_untouched(np.concatenate(parts, axis=2), self._targets)
+        whole = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
+        return keep_untouched(whole, self._targets)
 
 
 def keep_untouched(result: FloatImage, targets: NDArray[Any]) -> FloatImage:
