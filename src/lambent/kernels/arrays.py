@@ -130,7 +130,7 @@ class Planes:
 
     @classmethod
     def of(cls, image: NDArray[Any], layout: Layout, module: ModuleType) -> Planes:
-        """Planes of ``(H, W, C)`` or ``(H, W)``. What is not finite becomes 0 (see `valid`)."""
+        """Planes of ``(H, W, C)`` or ``(H, W)``. What is not finite becomes 0."""
         return cls.stacked([image if image.ndim == 3 else image[:, :, None]], layout, module)
 
     @classmethod
@@ -173,7 +173,7 @@ class Planes:
 def valid_pixels(*images: NDArray[Any] | None) -> FloatImage:
     """``(H, W)``: 1 where every channel of every image ``(H, W, C)`` is finite, else 0.
 
-    This is the mask plane that every weight is multiplied with. None counts as finite.
+    This is the mask plane (see the package docstring). None counts as finite.
     """
     given = [image for image in images if image is not None]
     mask = np.ones(given[0].shape[:2], bool)
