@@ -2,7 +2,8 @@
 
 Run ``python benchmarks/kernels.py [--size 1280x720] [--repeat 5]``; it prints two Markdown tables:
 the kernels, and whole filters as `lambent denoise` calls them, on a frame with albedo, normal and
-depth, their variances and half buffers, at radius 5 (five levels). All rows of one run are measured
+depth, their variances and half buffers, at radius 5 (five levels; NFOR and StatMC at their
+defaults). All rows of one run are measured
 in the same process on the same images; each figure is the median of the warm calls, all of which
 are in the JSON (``--json``). "cold" is the first call in a process of its own, with an empty kernel
 cache, without imports.
@@ -11,6 +12,8 @@ The limit of a kernel is the greater of two times: the bytes that its launches m
 bandwidth of a Dr.Jit copy kernel, and its floating-point operations over the rate of a Dr.Jit
 kernel of independent FMAs, both measured first. Planes that stay in the cache between launches
 come cheaper than the first figure says, so a kernel can be a little faster than "the limit".
+The NumPy peers of the regression and of Welch's test are timed on a crop (`Case.peer_share` of the
+pixels) and scaled by the pixels.
 """
 
 from __future__ import annotations
@@ -31,6 +34,8 @@ from typing import Any
 import numpy as np
 
 RADIUS, PATCH, LEVELS, FEATURES = 5, 3, 5, 6
+#: Radius of the disc of Welch's test, and side of the crop that slow peers are timed on.
+DISC, CROP = 20, 192
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,7 @@ class Case:
     bytes_per_pixel: float
     flops_per_pixel: float
     target: float | None
+    peer_share: float = 1.0
 
 
 def images(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,6 +116,74 @@ def numpy_atrous(targets: np.ndarray, guide: np.ndarray, features: np.ndarray) -
     return state[:, :, 3:]
 
 
+def numpy_regression(
+    colour: np.ndarray, features: np.ndarray, targets: np.ndarray, window: Any
+) -> list[np.ndarray]:
+    """NLM weights and collaborative first-order regression at w⁴ and w: all centres at a time."""
+    from scipy.ndimage import uniform_filter
+
+    height, width, count = targets.shape
+    radius, s = window.radius, window.stride
+    offsets = [(i, j) for j in range(-radius, radius + 1) for i in range(-radius, radius + 1)]
+    n = features.shape[2] + 3
+    centres = np.s_[::s, ::s]
+
+    def there(image: np.ndarray, dx: int, dy: int) -> np.ndarray:
+        at = np.pad(image, ((radius, radius), (radius, radius), (0, 0)), mode="symmetric")
+        at = at[radius + dy : radius + dy + height, radius + dx : radius + dx + width]
+        return at[centres]
+
+    weights = []
+    for dx, dy in offsets:
+        w = np.zeros((height, width), np.float32)
+        p, q = shifted(colour, dx, dy)
+        apart = ((colour[q] - colour[p]) ** 2).mean(axis=2)
+        w[p] = np.exp(-uniform_filter(apart, 2 * window.patch + 1, mode="reflect") * 50)
+        weights.append(w[centres])
+    results = []
+    for power in (4, 1):
+        gram = np.zeros((*weights[0].shape, n, n), np.float32)
+        right = np.zeros((*weights[0].shape, n, count), np.float32)
+        rows = []
+        for (dx, dy), w in zip(offsets, weights, strict=True):
+            x = np.empty((*w.shape, n), np.float32)
+            x[..., :3] = 1, dx / radius, dy / radius
+            x[..., 3:] = there(features, dx, dy) - features[centres]
+            wx = (w**power)[..., None] * x
+            gram += wx[..., :, None] * x[..., None, :]
+            right += wx[..., :, None] * there(targets, dx, dy)[..., None, :]
+            rows.append(x)
+        beta = np.linalg.solve(gram + 1e-4 * np.eye(n, dtype=np.float32), right)
+        total = np.zeros((height, width, count), np.float32)
+        norm = np.full((height, width, 1), 1e-4, np.float32)
+        y, x0 = np.mgrid[0:height:s, 0:width:s]
+        for (dx, dy), w, x in zip(offsets, weights, rows, strict=True):
+            qy, qx = y + dy, x0 + dx
+            inside = (qy >= 0) & (qy < height) & (qx >= 0) & (qx < width)
+            value = np.einsum("ijn,ijnc->ijc", x, beta) * (w**power)[..., None]
+            total[qy[inside], qx[inside]] += value[inside]
+            norm[qy[inside], qx[inside]] += (w**power)[inside][:, None]
+        results.append(total / norm)
+    return results
+
+
+def numpy_welch(
+    targets: np.ndarray, mean: np.ndarray, bound: np.ndarray, guide: np.ndarray, sigma: float
+) -> np.ndarray:
+    total, norm = np.zeros_like(targets), np.zeros(targets.shape[:2], np.float32)
+    for dy in range(-DISC, DISC + 1):
+        for dx in range(-DISC, DISC + 1):
+            if dx * dx + dy * dy > DISC * DISC:
+                continue
+            p, q = shifted(targets, dx, dy)
+            same = ((mean[q] - mean[p]) ** 2 <= bound[q] + bound[p]).all(axis=2)
+            apart = ((guide[q] - guide[p]) ** 2).sum(axis=2)
+            w = same * np.exp(-apart - (dx * dx + dy * dy) / (2 * sigma**2))
+            total[p] += w[:, :, None] * targets[q]
+            norm[p] += w
+    return total / norm[:, :, None]
+
+
 # ------------------------------------------------------------------- cases
 
 
@@ -175,6 +249,7 @@ def cases(height: int, width: int, peers: bool = True) -> list[Case]:
             0.15,
         ),
     ]
+    found += [_regression(colour, features), _welch(colour, features)]
     if peers:
         import cv2
         from skimage.restoration import denoise_bilateral, denoise_nl_means
@@ -230,7 +305,59 @@ def filters(height: int, width: int) -> list[tuple[str, str, Callable[[], Any]]]
         case("atrous", levels=LEVELS),
         case("nlm", radius=RADIUS),
         case("joint-nlm", radius=RADIUS),
+        case("nfor"),
+        case("statmc"),
     ]
+
+
+def _regression(colour: np.ndarray, features: np.ndarray) -> Case:
+    """What NFOR does for one half: weights, and two regressions of four channels."""
+    from lambent.kernels.regression import Window, first_order, patch_weights
+
+    window = Window()
+    guide = np.concatenate([features, colour[:, :, :1]], axis=2)[:, :, :7]
+    targets = np.concatenate([colour, colour[:, :, :1]], axis=2)
+    variance = np.full_like(colour, 0.0064)
+
+    def ours() -> Any:
+        weights = patch_weights(colour, variance, window, k=0.5)
+        return first_order(weights, guide, targets, (4, 1), 1e-4)
+
+    n, c, taps, share = 10, 4, window.offsets(), window.stride**-2
+    weighing = taps * (27 + 7 / window.stride + (7 + 20) * share)
+    fit = taps * (n * (n + 1) + 2 * n * c + 2 * n + c) * share + 2 * n**3 / 3 * share
+    predict = taps * share * (2 * (n - 1) * c + 2 * (c + 1))
+    moved = 4 * taps * share * (2 + 2 * 2)  # column sums and weights out and in, read four times
+    few = np.s_[:CROP, :CROP]
+    peer = [np.ascontiguousarray(image[few]) for image in (colour, guide, targets)]
+    return Case(
+        f"regression, radius {window.radius}, 7 features, two bandwidths",
+        ours,
+        {"numpy": lambda: numpy_regression(*peer, window)},
+        moved + 4 * taps / window.stride * 2,
+        weighing + 2 * (fit + predict),
+        None,
+        peer[0][:, :, 0].size / colour[:, :, 0].size,
+    )
+
+
+def _welch(colour: np.ndarray, features: np.ndarray) -> Case:
+    from lambent.kernels.statistics import disc, welch_mean
+
+    bound = np.full_like(colour, 0.05)
+    guide = features / np.float32(0.3)
+    taps = len(disc(DISC, 10.0)[0])
+    few = np.s_[:CROP, :CROP]
+    peer = [np.ascontiguousarray(image[few]) for image in (colour, colour, bound, guide)]
+    return Case(
+        f"Welch's test, radius {DISC}, {FEATURES} features",
+        lambda: welch_mean(colour, colour, bound, guide, DISC, 10.0),
+        {"numpy": lambda: numpy_welch(*peer, 10.0)},
+        4 * (3 * 3 + FEATURES + 3),
+        taps * (4 * 3 + 3 * FEATURES + 18 + 1 + 2 * 3),
+        None,
+        peer[0][:, :, 0].size / colour[:, :, 0].size,
+    )
 
 
 # --------------------------------------------------------------- measuring
@@ -331,6 +458,7 @@ def main() -> None:
         row["peers"] = {}
         for number, (peer, call) in enumerate(case.peers.items()):
             there = statistics.median(seconds(call, 1 if peer != "opencv" else 3))
+            there /= case.peer_share
             row["peers"][peer] = there
             left = ["", "", "", "", "", ""]
             if number == 0:
@@ -345,7 +473,10 @@ def main() -> None:
     for model, said, call in filters(height, width):
         call()
         whole[model] = seconds(call, min(3, options.repeat))
-        print(f"| {model}, {said} | {statistics.median(whole[model]):.2f} |", flush=True)
+        print(
+            f"| {model}{', ' * bool(said)}{said} | {statistics.median(whole[model]):.2f} |",
+            flush=True,
+        )
     if options.json:
         with open(options.json, "w", encoding="utf-8") as file:
             json.dump(
