@@ -33,7 +33,8 @@ def twin(frame: Frame, model: SUREFilter, sigma: float, targets: np.ndarray):
     """Equation 1 in plain NumPy: means, Σw."""
     guide = model.guide(frame).astype(np.float64)
     half = guide.shape[2] // 2
-    f, v = guide[:, :, :half], guide[:, :, half:]
+    f, v = guide[:, :, :half], guide[:, :, half : 2 * half]
+    u = guide[:, :, -1] if guide.shape[2] % 2 else np.ones(guide.shape[:2])
     height, width = targets.shape[:2]
     total, sums = np.zeros((height, width)), np.zeros(targets.shape)
     for (dx, dy), factor in zip(*gaussian_taps(sigma), strict=True):
@@ -41,15 +42,19 @@ def twin(frame: Frame, model: SUREFilter, sigma: float, targets: np.ndarray):
             x = np.arange(max(0, -dx), min(width, width - dx))
             q = (y + dy, x + dx)
             w = np.exp(factor - ((f[y, x] - f[q]) ** 2 / (v[y, x] + v[q])).sum(-1))
+            w *= np.minimum(1, u[y, x] / u[q])
             total[y, x] += w
             sums[y, x] += w[:, None] * targets[q]
     return sums / total[:, :, None], total
 
 
+@pytest.mark.parametrize("by_variance", [True, False])
 @pytest.mark.parametrize("sigma_colour", [None, 0.2])
-def test_bank_against_numpy(sigma_colour):
+def test_bank_against_numpy(sigma_colour, by_variance):
     frame, _ = scene(20, 23)
-    model = SUREFilter(sigma_colour=sigma_colour)
+    spread = 10 ** np.random.default_rng(4).uniform(-4, 2, (20, 23, 3))
+    frame = frame.with_layer(frame.layer(Role.COLOUR, Stat.VARIANCE).with_data(spread))
+    model = SUREFilter(sigma_colour=sigma_colour, by_variance=by_variance)
     guide = model.guide(frame)
     targets = np.concatenate([frame.colour, frame.colour[:, :, :1] * 0.5], axis=2)
     mean, square, total, filtered = model._apply(frame, targets, guide, 2.0)
@@ -127,6 +132,17 @@ def test_layers_still_sum_and_constants_stay():
     np.testing.assert_allclose(result[:, :, 9], 1, atol=1e-5)
 
 
+def test_firefly_is_not_spread():
+    """Features do not know it, so that every scale would hand it on; the noise level does."""
+    colour = np.ones((40, 40, 3), np.float32)
+    variance = np.full((40, 40, 3), 0.01, np.float32)
+    colour[20, 20], variance[20, 20] = 50, 1600
+    frame = Frame.from_arrays(spp=16, colour=colour, colour_variance=variance)
+    apart = np.hypot(*np.mgrid[-20:20, -20:20]) > 2  # the 3x3 beside it count as noisy themselves
+    assert np.abs(SUREFilter()(frame).colour - 1)[apart].max() < 0.01
+    assert np.abs(SUREFilter(by_variance=False)(frame).colour - 1)[apart].max() > 0.1
+
+
 def test_tiles_equal_the_whole():
     frame, _ = scene(24, 128)
     model = SUREFilter(largest=4.0, selection=4.0).fitted(frame)
@@ -135,7 +151,7 @@ def test_tiles_equal_the_whole():
     piece = frame.crop(0, 24, left, 128)
     tile = model.filter(piece, piece.colour)
     np.testing.assert_allclose(tile[:, 64 - left :], whole[:, 64:], rtol=1e-4, atol=1e-5)
-    assert model.margin() == 2 * reach(4.0) + 2
+    assert model.margin() == 2 * reach(4.0) + 3
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 30), (30, 1)])

@@ -7,7 +7,8 @@ import pytest
 
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import create
-from lambent.filters.statmc import StatMC, johnson, noise_level
+from lambent.filters.features import noise_level
+from lambent.filters.statmc import StatMC, johnson
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role

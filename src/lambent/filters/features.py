@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import OptionError
+from lambent.errors import LayerError, OptionError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.misses import miss_mask
@@ -39,6 +39,8 @@ from lambent.frame.role import INFO, Role, Stat
 
 #: Pixels around a pixel that its features may depend on (the variance from half buffers).
 MARGIN = 2
+#: Noise below this share of the mean does not count in `noise_level`.
+_FLOOR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,32 @@ def variance_of(frame: Frame, role: Role) -> FloatImage | None:
     with np.errstate(invalid="ignore", over="ignore"):
         raw = np.nan_to_num((a - b) ** 2 / 4, nan=0.0, posinf=0.0, neginf=0.0)
     return _mean_5x5(raw.astype(np.float32))
+
+
+def noise_level(frame: Frame) -> FloatImage:
+    """The variance of the colour ``(H, W)``, over 3x3 pixels and channels; positive.
+
+    A variance from n samples of heavy-tailed light is unreliable, and low where the mean is low by
+    chance; hence the 3x3 pixels. A thousandth of the mean is added as deviation: less noise than
+    that is all the same, and two pixels without any weigh alike.
+    """
+    variance = variance_of(frame, Role.COLOUR)
+    if variance is None:
+        raise LayerError(
+            "the noise level needs colour.variance, or both colour.half_a and colour.half_b",
+            file=frame.path,
+            remedy="let the renderer write a variance pass",
+        )
+    mean = np.nan_to_num(frame.colour, nan=0.0, posinf=0.0, neginf=0.0)
+    floor = (_FLOOR * mean.mean(axis=2)) ** 2
+    level = _mean_3x3(variance.mean(axis=2) + floor)
+    return np.clip(level, 1e-18, 1e18).astype(np.float32)
+
+
+def _mean_3x3(image: FloatImage) -> FloatImage:
+    padded = np.pad(image, 1, mode="edge")
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9, np.float32)
 
 
 def _mean_5x5(image: FloatImage) -> FloatImage:

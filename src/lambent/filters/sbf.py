@@ -24,6 +24,12 @@ Where we depart:
   decides over it. ``sigma_colour`` turns it on (in units of radiance at the automatic exposure).
 - SURE is compared in units of the exposed colour, F²+ε apart, before its map is filtered: else one
   firefly decides for everything around it.
+- *By variance* (``by_variance``): w_ij is multiplied by min(1, u_i/u_j), where u is the variance of
+  the colour over channels and 3x3 pixels. (1) knows features alone, so that at every scale a
+  firefly is spread over its window and no choice of scale helps: on veach-mis at 16 spp relMSE is
+  0.068, and 0.060 with the best scale at every pixel. By variance 0.0056. Geometric means over five
+  scenes at 16 spp, all pixels / without the worst 0.1 %: 0.0306 / 0.0087 without,
+  0.0150 / 0.0060 with it. Σw holds the pixel itself with 1 as before, which is what (4) needs.
 - σ_ik² is never below ``floor``; it alone counts where a feature tells no variance. Frames tell the
   variance of means; times spp it is that of samples (times 1 where spp is unknown).
 """
@@ -40,7 +46,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.features import MARGIN, Scales, features, fit_scales, variance_of
+from lambent.filters.features import MARGIN, Scales, features, fit_scales, noise_level, variance_of
 from lambent.filters.log_colour import fit_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -70,6 +76,7 @@ class SUREFilter(Denoiser):
     sigma_roughness: float = 0.25
     sigma_colour: float | None = None
     floor: float = 0.02
+    by_variance: bool = True
     device: Device = "auto"
     _scales: Scales | None = None
     _exposure: float | None = None
@@ -107,7 +114,7 @@ class SUREFilter(Denoiser):
 
     def margin(self) -> int:
         """The largest window, that of the choice, and what a variance from halves looks at."""
-        return reach(self.bank()[-1]) + reach(self.selection) + MARGIN
+        return reach(self.bank()[-1]) + reach(self.selection) + MARGIN + 1
 
     def bytes_per_pixel(self, channels: int) -> int:
         """Planes of guide and targets, and a result for every scale."""
@@ -167,7 +174,8 @@ class SUREFilter(Denoiser):
     def guide(self, frame: Frame) -> FloatImage:
         """Features divided by √2·σ_k, then [exposed colour by √2·σ_r,] then variances of (2).
 
-        The variance that stands for the colour is 1/2: |c_i − c_j|² is divided by 1.
+        The variance that stands for the colour is 1/2: |c_i − c_j|² is divided by 1. By variance
+        the noise level is one more plane at the end: an odd number.
         """
         found = features(frame, scales=self._scales)
         sigmas = {
@@ -193,6 +201,8 @@ class SUREFilter(Denoiser):
         if result.shape[2] == 0:  # no features: spatial weights alone
             result = np.zeros((*stack.shape[:2], 2), np.float32)
             result[:, :, 1] = 1
+        if self.by_variance:
+            result = np.concatenate([result, noise_level(frame)[:, :, None]], axis=2)
         result[~found.valid] = np.nan
         return result
 
@@ -242,10 +252,14 @@ def _without_colour(guide: FloatImage) -> FloatImage:
 
 
 def _weight(p: list[Any], q: list[Any], k: list[Any], s: Any) -> Any:
-    """exp(s − Σ (f_p − f_q)²/(v_p + v_q)); the guide holds features, then as many variances."""
+    """exp(s − Σ (f_p − f_q)²/(v_p + v_q)) [times min(1, u_p/u_q)].
+
+    The guide holds features, then as many variances[, then the noise level u].
+    """
     import drjit as dr
 
     from lambent.kernels.exponential import exp_weight
+    from lambent.kernels.extremes import smaller
 
     count = len(p) // 2
     exponent = s
@@ -253,4 +267,7 @@ def _weight(p: list[Any], q: list[Any], k: list[Any], s: Any) -> Any:
         step = p[f] - q[f]
         # outside the image both may be 0: never 0/0
         exponent -= step * step * dr.rcp(p[count + f] + q[count + f] + 1e-20)
-    return exp_weight(exponent)
+    weight = exp_weight(exponent)
+    if len(p) % 2:
+        weight *= smaller(p[-1] * dr.rcp(q[-1] + 1e-20), type(p[-1])(1))
+    return weight

@@ -57,7 +57,7 @@ import numpy as np
 
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.features import MARGIN, features, variance_of
+from lambent.filters.features import MARGIN, features, noise_level, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
@@ -65,8 +65,6 @@ from lambent.kernels.statistics import t_quantile, welch_mean
 
 #: Degrees of freedom of a variance from half buffers averaged over 5x5 pixels.
 _HALVES_FREEDOM = 25.0
-#: Noise below this share of the mean does not count.
-_FLOOR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -157,28 +155,6 @@ class StatMC(Denoiser):
             if skew is not None and frame.spp is not None:
                 mean = johnson(mean, variance, skew.data, frame.spp)
         return mean, np.broadcast_to(variance, mean.shape), float(freedom)
-
-
-def noise_level(frame: Frame) -> FloatImage:
-    """The variance of the colour ``(H, W)``, over 3x3 pixels and channels; positive.
-
-    A variance from n samples of heavy-tailed light is unreliable, and low where the mean is low by
-    chance; hence the 3x3 pixels. A thousandth of the mean is added as deviation: less noise than
-    that is all the same, and two pixels without any weigh alike.
-    """
-    variance = variance_of(frame, Role.COLOUR)
-    if variance is None:
-        raise LayerError("the noise needs colour.variance or half buffers", file=frame.path)
-    mean = np.nan_to_num(frame.colour, nan=0.0, posinf=0.0, neginf=0.0)
-    floor = (_FLOOR * mean.mean(axis=2)) ** 2
-    level = _mean_3x3(variance.mean(axis=2) + floor)
-    return np.clip(level, 1e-18, 1e18).astype(np.float32)
-
-
-def _mean_3x3(image: FloatImage) -> FloatImage:
-    padded = np.pad(image, 1, mode="edge")
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9, np.float32)
 
 
 def johnson(mean: FloatImage, variance: FloatImage, skew: FloatImage, spp: int) -> FloatImage:
