@@ -102,7 +102,8 @@ def table(width: int, height: int, rounds: int, dtype: type) -> None:
     )
     megabytes = sum(a.nbytes for a in pixels.values()) / 2**20
     print(f"\n{width}x{height}, 10 channels {np.dtype(dtype)}, {megabytes:.0f} MiB; "
-          f"processor seconds (median of {rounds}), factor to the bare module, (factor by wall time)\n")  # fmt: skip
+          f"processor seconds (median of {rounds}), factor to the bare module, "
+          "(factor by wall time)\n")  # fmt: skip
     columns = ["decode", "encode", "edit 3 of 10", "frame", "new file"]
     print(f"| {'compression':11} | " + " | ".join(f"{c:>24}" for c in columns) + " |")
     print("|---" * (len(columns) + 1) + "|")
