@@ -148,7 +148,7 @@ class NFOR(Denoiser):
         """The weights of a window for every centre, and the coefficients of its regression."""
         centres = 1 / self.stride**2
         window = (2 * self.radius + 1) ** 2
-        return int(4 * (centres * (window + 250) + 180 + 10 * channels))  # measured: 1460 at 720p
+        return int(4 * (centres * (window + 330) + 200 + 10 * channels))  # measured: 1530 at 720p
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
         """What is estimated because the frame does not tell it."""
