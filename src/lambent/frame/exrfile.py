@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lambent.frame.exrheader import Container, PartHeader
 from lambent.frame.exrmodule import enough_memory
-from lambent.frame.exrpixels import NONE, Arrays, bands, decode_rows
+from lambent.frame.exrpixels import Arrays, bands, decode_rows
 from lambent.frame.exrvalues import COMPRESSIONS
 from lambent.frame.exrwhole import read_whole
 
@@ -71,9 +71,8 @@ class Pixels:
 
     @property
     def _alone(self) -> bool:
-        """Whether this is all there is in the file, and the module is what unpacks it best."""
-        quick = self.packed.compression == NONE and not self.packed.tiles
-        return len(self.file.parts) == 1 and not quick
+        """Whether this is all there is in the file."""
+        return len(self.file.parts) == 1
 
     @property
     def small(self) -> bool:
