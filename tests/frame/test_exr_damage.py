@@ -99,7 +99,7 @@ def test_undecodable_pixels_tell_what_openexr_said(
 
 def test_prints_of_others_pass_through(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     """While OpenEXR is listened to, other output is only delayed."""
-    from lambent.frame.exrmodule import quiet
+    from lambent.frame.exr.module import quiet
 
     with quiet() as said:
         os.write(2, b"somebody else\nEXR_ERR_OURS here\n")

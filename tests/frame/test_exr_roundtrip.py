@@ -12,11 +12,12 @@ import OpenEXR
 import pytest
 
 from lambent.errors import LambentError, LayerError, OutputError
-from lambent.frame import exrwhole, exrwrite
 from lambent.frame.exr import ExrFile, decode, encode
-from lambent.frame.exrpixels import decode_rows
-from lambent.frame.exrwhole import read_whole
-from lambent.frame.exrwrite import shrink, to_type
+from lambent.frame.exr import whole as exrwhole
+from lambent.frame.exr import write as exrwrite
+from lambent.frame.exr.pixels import decode_rows
+from lambent.frame.exr.whole import read_whole
+from lambent.frame.exr.write import shrink, to_type
 
 SHARED = (
     "arnold_id_multipart",
@@ -270,7 +271,8 @@ def test_channel_names_that_are_no_text(tmp_path: Path) -> None:
 
 def test_rows_and_fill_equal_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading in bands gives what reading at once gives, for rows, tiles, and windows anywhere."""
-    from lambent.frame import exrfile, exrpixels
+    from lambent.frame.exr import file as exrfile
+    from lambent.frame.exr import pixels as exrpixels
 
     monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)
     monkeypatch.setattr(exrpixels, "BAND_BYTES", 3000)
@@ -293,7 +295,8 @@ def test_writing_in_bands_equals_writing_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Small bands bound the memory and change nothing."""
-    from lambent.frame import exrfile, exrpixels
+    from lambent.frame.exr import file as exrfile
+    from lambent.frame.exr import pixels as exrpixels
 
     for tiled in (False, True):
         (tmp_path / "in.exr").write_bytes(exr_samples.content(tiled=tiled, parts=2))

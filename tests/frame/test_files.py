@@ -40,7 +40,7 @@ def test_layers_are_decoded_when_looked_at(
     large: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reading touches no pixel; all roles come in one pass; ids of large files in another."""
-    from lambent.frame import exrfile
+    from lambent.frame.exr import file as exrfile
 
     if large:
         monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)

@@ -2,7 +2,7 @@
 
 `read` tells formats by their first bytes, never by the name; `write` by the ending of the name.
 A frame that came from an EXR is written back into that EXR: its changed layers get their new
-pixels, everything else stays bit for bit (`lambent.frame.exrwrite`). Writes are atomic.
+pixels, everything else stays bit for bit (`lambent.frame.exr.write`). Writes are atomic.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def read(
         return _read_image(path, view, roles, spp)
     from lambent.frame.dialects import identify
     from lambent.frame.exr import decode
-    from lambent.frame.exrframe import frame_of
+    from lambent.frame.exr.frame import frame_of
 
     exr = decode(path)
     return frame_of(exr, identify(exr, roles, spp), view, spp, roles)
@@ -80,7 +80,7 @@ def read_views(
         return {"": _read_image(path, None, roles, spp)}
     from lambent.frame.dialects import identify
     from lambent.frame.exr import decode
-    from lambent.frame.exrframe import frame_of
+    from lambent.frame.exr.frame import frame_of
 
     exr = decode(path)
     identified = identify(exr, roles, spp)
@@ -152,8 +152,8 @@ def write_views_noted(
         )
     if not frames:
         raise LayerError("there are no views to write", file=path)
-    from lambent.frame.exrframe import ExrOrigin, replaced_channels
-    from lambent.frame.exrwrite import encode
+    from lambent.frame.exr.frame import ExrOrigin, replaced_channels
+    from lambent.frame.exr.write import encode
 
     origins = [f.origin.payload if f.origin else None for f in frames.values()]
     files = {id(o.exr) for o in origins if isinstance(o, ExrOrigin)}
@@ -183,7 +183,7 @@ def _write_new(
     half: bool,
     texts: Mapping[str, str] | None,
 ) -> tuple[str, ...]:
-    from lambent.frame.exrnew import planes_of, write_new
+    from lambent.frame.exr.new import planes_of, write_new
 
     views = [view for view in frames if view]
     planes = {}
@@ -248,7 +248,7 @@ def _write_image(
 
 def _kind(path: Path) -> str:
     """The kind of a file by its first bytes. Raises `FileError` for what Lambent cannot read."""
-    from lambent.frame.exrheader import open_file
+    from lambent.frame.exr.header import open_file
 
     descriptor = open_file(path)
     try:

@@ -2,7 +2,7 @@
 
 Vectors and matrices become tuples of floats, boxes ``(x0, y0, x1, y1)``, strings ``str`` (bytes
 that are no UTF-8 are shown as U+FFFD); types that are not known stay ``bytes``. The values are for
-reading only: a file is written back from the header's own bytes (`lambent.frame.exrheader`).
+reading only: a file is written back from the header's own bytes (`lambent.frame.exr.header`).
 The layout of each type is that of "OpenEXR File Layout", Industrial Light & Magic, 2024.
 """
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import LayerError, OptionError
-from lambent.frame.exrfile import ExrFile, ExrPart
-from lambent.frame.exrmodule import enough_memory
-from lambent.frame.exrwrite import beyond_half, to_type
+from lambent.frame.exr.file import ExrFile, ExrPart
+from lambent.frame.exr.module import enough_memory
+from lambent.frame.exr.write import beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer, Source
 from lambent.frame.luma import enlarge, from_rgb, to_rgb, weights

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.frame.atomic import atomic
-from lambent.frame.exrfile import KEEP_BYTES
-from lambent.frame.exrheader import DTYPES, ChannelInfo, PartHeader
-from lambent.frame.exrpixels import ZIP, bands, encode_rows
-from lambent.frame.exrwhole import write_whole
-from lambent.frame.exrwrite import append, beyond_half, to_type
+from lambent.frame.exr.file import KEEP_BYTES
+from lambent.frame.exr.header import DTYPES, ChannelInfo, PartHeader
+from lambent.frame.exr.pixels import ZIP, bands, encode_rows
+from lambent.frame.exr.whole import write_whole
+from lambent.frame.exr.write import append, beyond_half, to_type
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import EXR_MAGIC

@@ -4,7 +4,7 @@ An EXR file is: magic number, version, one header a part, one table of chunk off
 chunks (rows or tiles, packed). "OpenEXR File Layout", Industrial Light & Magic, 2024.
 
 Lambent walks this structure itself and gives OpenEXR only the packing and unpacking of pixels
-(`lambent.frame.exrpixels`), for three reasons. Whatever is not filtered can be copied bit for bit:
+(`lambent.frame.exr.pixels`), for three reasons. Whatever is not filtered can be copied bit for bit:
 the OpenEXR Python module loses opaque attributes and the levels of mip-maps, cannot write
 sub-sampled channels, and re-packs lossy compressions. A damaged file is found before a single
 pixel is decoded: the module returns no parts for some. And headers made by chance or malice never
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, DeepFileError, FileError
-from lambent.frame.exrvalues import COMPRESSIONS, text_of, value_of
+from lambent.frame.exr.values import COMPRESSIONS, text_of, value_of
 from lambent.frame.magic import EXR_MAGIC, kind_of
 
 REMEDY = "the file is damaged: copy or render it again"

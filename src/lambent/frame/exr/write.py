@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.frame.atomic import atomic
-from lambent.frame.exrfile import ExrFile, ExrPart
-from lambent.frame.exrheader import Container, Level, PartHeader
-from lambent.frame.exrpixels import (
+from lambent.frame.exr.file import ExrFile, ExrPart
+from lambent.frame.exr.header import Container, Level, PartHeader
+from lambent.frame.exr.pixels import (
     NONE,
     ZIP,
     Arrays,
@@ -37,8 +37,8 @@ from lambent.frame.exrpixels import (
     encode_rows,
     survives,
 )
-from lambent.frame.exrvalues import COMPRESSIONS
-from lambent.frame.exrwhole import write_whole
+from lambent.frame.exr.values import COMPRESSIONS
+from lambent.frame.exr.whole import write_whole
 
 #: The largest value of a half.
 HALF_MAX = 65504.0

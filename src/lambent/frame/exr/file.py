@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.frame.exrheader import Container, PartHeader
-from lambent.frame.exrmodule import enough_memory
-from lambent.frame.exrpixels import Arrays, bands, decode_rows
-from lambent.frame.exrvalues import COMPRESSIONS
-from lambent.frame.exrwhole import read_whole
+from lambent.frame.exr.header import Container, PartHeader
+from lambent.frame.exr.module import enough_memory
+from lambent.frame.exr.pixels import Arrays, bands, decode_rows
+from lambent.frame.exr.values import COMPRESSIONS
+from lambent.frame.exr.whole import read_whole
 
 #: Parts up to so many bytes are decoded once and kept: writing back needs them again.
 KEEP_BYTES = 256 << 20
@@ -93,7 +93,7 @@ def _frozen(arrays: Arrays) -> Arrays:
 
 @dataclass(frozen=True, eq=False)
 class ExrPart:
-    """One part: ``header`` has its attributes as Python values (see `exrvalues`).
+    """One part: ``header`` has its attributes as Python values (see `values`).
 
     ``view`` is the part's stereo view, or "". Windows are ``(x0, y0, x1, y1)``, inclusive.
     """
@@ -124,7 +124,7 @@ class ExrPart:
 
     @property
     def compression(self) -> str:
-        """``"zip"``, ``"piz"``, … (`lambent.frame.exrvalues.COMPRESSIONS`)."""
+        """``"zip"``, ``"piz"``, … (`lambent.frame.exr.values.COMPRESSIONS`)."""
         return "zip" if self.pixels is None else COMPRESSIONS[self.pixels.packed.compression]
 
     def rows(self, top: int, bottom: int) -> Arrays:

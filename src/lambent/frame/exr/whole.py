@@ -7,7 +7,7 @@ Only headers whose attributes are all of known types and sound get that far.
 Writing: the module packs straight into the file that is being written. Its own header is stretched
 with an attribute to the length of ours, which then takes its place; so the offsets are right.
 
-Both return nothing where that is not possible or fails; then `lambent.frame.exrpixels` does the
+Both return nothing where that is not possible or fails; then `lambent.frame.exr.pixels` does the
 work in runs of chunks, and says what is wrong.
 """
 
@@ -23,10 +23,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.frame.exrheader import Container, PartHeader
-from lambent.frame.exrmodule import module, name_of, parts_of
-from lambent.frame.exrpixels import Arrays, module_part, safe_names
-from lambent.frame.exrvalues import COMPRESSIONS, well_formed
+from lambent.frame.exr.header import Container, PartHeader
+from lambent.frame.exr.module import module, name_of, parts_of
+from lambent.frame.exr.pixels import Arrays, module_part, safe_names
+from lambent.frame.exr.values import COMPRESSIONS, well_formed
 
 #: Compressions that the module can neither read nor write by itself without printing remarks.
 _NOT_HERE = ("htj2k256", "htj2k32", "lj2k")

@@ -1,6 +1,6 @@
 """Packed chunks of an EXR part to arrays and back, with OpenEXR's own module as the codec.
 
-Whole files are read and written by the module itself (`lambent.frame.exrwhole`). Everything else
+Whole files are read and written by the module itself (`lambent.frame.exr.whole`). Everything else
 goes in runs of chunks: a band of rows, a part of several, one level of a mip-map. A run is handed
 to the module as a little single-part EXR of its own, with a header made here that holds nothing
 but what the codec needs. Bands bound the memory; levels, and parts beside damaged ones, become
@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import FileError
-from lambent.frame.exrheader import Container, Level, PartHeader
-from lambent.frame.exrmodule import enough_memory, memory_file, module, name_of, parts_of, quiet
-from lambent.frame.exrvalues import COMPRESSIONS
+from lambent.frame.exr.header import Container, Level, PartHeader
+from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of, quiet
+from lambent.frame.exr.values import COMPRESSIONS
 from lambent.frame.magic import EXR_MAGIC
 
 Arrays = dict[str, NDArray[Any]]
