@@ -219,6 +219,9 @@ DENOISERS = Registry(
     group="lambent.denoisers",
 )
 
+#: How far a denoiser may look, in pixels: kernels are compiled tap by tap, and tiles need margins.
+FARTHEST = 256
+
 #: What `lambent denoise` takes unless told otherwise.
 DEFAULT_MODEL = "oidn"
 
@@ -250,6 +253,12 @@ def create(model: str, **options: Any) -> Denoiser:
         values[key] = _convert(model, key, value, known[key][0])
     denoiser = kind(**values)
     assert isinstance(denoiser, Denoiser)
+    if denoiser.margin() > FARTHEST:
+        asked = ", ".join(f"{key}={value}" for key, value in values.items()) or "these defaults"
+        raise OptionError(
+            f"'{model}' with {asked} would look {denoiser.margin()} pixels far",
+            remedy=f"take a smaller window: it may reach {FARTHEST} pixels",
+        )
     return denoiser
 
 

@@ -1,0 +1,27 @@
+"""Making denoisers by name: what is refused, and how."""
+
+from __future__ import annotations
+
+import pytest
+
+from lambent.errors import OptionError, UnknownNameError
+from lambent.filters.denoiser import DENOISERS, FARTHEST, create
+
+
+def test_a_window_that_could_never_be_compiled_is_refused() -> None:
+    with pytest.raises(OptionError, match="would look 5000 pixels far"):
+        create("box", radius=5000)
+    assert create("box", radius=FARTHEST).margin() == FARTHEST
+
+
+def test_every_model_has_a_reach_within_the_limit() -> None:
+    for name in DENOISERS:
+        assert 0 <= create(name).margin() <= FARTHEST, name
+
+
+def test_parameters_are_converted_and_checked() -> None:
+    assert create("nlm", radius="7") == create("nlm", radius=7)
+    with pytest.raises(UnknownNameError, match="radius"):
+        create("nlm", radus=7)
+    with pytest.raises(OptionError, match="needs a value of type int"):
+        create("nlm", radius="wide")
