@@ -196,10 +196,10 @@ def markdown(rows: list[Row], about: Row) -> str:
         order = sorted(table, key=lambda m: table[m].get("relmse", math.inf))
         lines = [[f"`{m}`", *_cells(table[m])] for m in order]
         count = len({r["scene"] for r in done if r["spp"] == spp} - set(APART))
-        parts.append(f"## {spp} spp, geometric means over {count} scenes")
+        parts.append(f"### {spp} spp, geometric means over {count} scenes")
         parts.append(markdown_table(["model", *(t for t, _ in COLUMNS.values())], lines))
         parts.append("\n".join(f"- {line}" for line in order_remarks(table)))
-    parts.append("## relMSE lowered, by scene and spp (noisy ÷ filtered)")
+    parts.append("### relMSE lowered, by scene and spp (noisy ÷ filtered)")
     models = list(dict.fromkeys(r["model"] for r in done if r["model"] != NOISY))
     gain = {(r["model"], r["scene"], r["spp"]): f"{r['gain']:.1f}" for r in done if "gain" in r}
     columns = [(s, n) for s in scenes for n in spps]
