@@ -19,7 +19,7 @@ demo: $(VENV)/.base  ## clean the example render; writes pictures and a report t
 	    --report --preview --overwrite
 	$(BIN)/lambent compare examples/still_life/reference.exr \
 	    examples/still_life/noisy.exr $(OUT)/clean.exr --report $(OUT)/compare.html
-	@echo "Look at $(OUT)/clean.png, and open $(OUT)/clean.html and $(OUT)/compare.html."
+	@echo "Look at $(OUT)/clean_preview.png, and open $(OUT)/clean.html and $(OUT)/compare.html."
 
 test: $(VENV)/.dev  ## run all tests but the slow ones
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"

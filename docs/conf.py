@@ -20,7 +20,13 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build", "filters/*", "results/*", "_generated/dialects.md", "_generated/metrics.md"]
+exclude_patterns = [
+    "_build",
+    "filters/*",
+    "results/*",
+    "_generated/dialects.md",
+    "_generated/metrics.md",
+]
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 html_theme = "furo"

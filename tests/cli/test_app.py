@@ -146,3 +146,8 @@ def test_bash_completes_commands_models_and_roles(words, expected):
         },
     )
     assert done.stdout.split() == expected
+
+
+def test_without_a_word_the_help_is_shown(capsys):
+    assert main([]) == 0
+    assert "denoise" in capsys.readouterr().out

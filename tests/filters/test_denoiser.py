@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+import lambent
 from lambent.errors import OptionError, UnknownNameError
 from lambent.filters.denoiser import DENOISERS, FARTHEST, create
 
@@ -25,3 +27,14 @@ def test_parameters_are_converted_and_checked() -> None:
         create("nlm", radus=7)
     with pytest.raises(OptionError, match="needs a value of type int"):
         create("nlm", radius="wide")
+
+
+@pytest.mark.parametrize(("name", "value"), [("radius", "-3"), ("k", "nan"), ("k", float("inf"))])
+def test_numbers_that_mean_nothing_are_refused(name: str, value: object) -> None:
+    with pytest.raises(OptionError, match=f"'{name}' of 'nlm' cannot be"):
+        create("nlm", **{name: value})
+
+
+def test_an_array_of_integers_is_no_radiance() -> None:
+    with pytest.raises(OptionError, match="uint8 is no linear radiance"):
+        lambent.denoise(np.zeros((4, 4, 3), np.uint8), model="box")

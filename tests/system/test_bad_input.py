@@ -327,7 +327,7 @@ def test_one_pixel_and_one_row(tmp_path, size, model):
 def test_a_range_with_holes_is_done_and_reported(tmp_path, capsys):
     for number in (1, 2, 5):
         renders.write(tmp_path / f"shot.{number:04d}.exr", renders.channels(seed=number))
-    assert main(["denoise", str(tmp_path / "shot.####.exr"), "--frames", "1-5", *FAST]) == 0
+    assert main(["denoise", str(tmp_path / "shot.####.exr"), "--frames", "1-5", *FAST]) == 2
     text = capsys.readouterr().err
     assert "missing: 3-4" in text
     assert sorted(p.name for p in tmp_path.glob("*clean*")) == [
@@ -335,6 +335,21 @@ def test_a_range_with_holes_is_done_and_reported(tmp_path, capsys):
         "shot_clean.0002.exr",
         "shot_clean.0005.exr",
     ]
+
+
+def test_a_gap_that_nobody_asked_for_is_no_failure(tmp_path, capsys):
+    for number in (1, 3):
+        renders.write(tmp_path / f"shot.{number:04d}.exr", renders.channels(seed=number))
+    assert main(["denoise", str(tmp_path / "shot.####.exr"), *FAST]) == 0
+    assert "missing: 2" in capsys.readouterr().err
+
+
+def test_the_directory_one_stands_in(tmp_path, capsys, monkeypatch):
+    (tmp_path / "shots").mkdir()
+    renders.write(tmp_path / "shots" / "a.exr", renders.channels())
+    monkeypatch.chdir(tmp_path / "shots")
+    assert main(["denoise", ".", *FAST]) == 0
+    assert (tmp_path / "shots_clean" / "a.exr").is_file()
 
 
 def test_a_damaged_frame_does_not_stop_the_others(tmp_path, capsys):

@@ -74,7 +74,8 @@ def run(args: Sequence[str]) -> int:
     as_json = "--json" in args
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        code = group().main(list(args), prog_name="lambent", standalone_mode=False)
+        # Without a word, the help: what a newcomer types first.
+        code = group().main(list(args) or ["--help"], prog_name="lambent", standalone_mode=False)
         if code == 130:
             _say_interrupted()
         return code if isinstance(code, int) else 0
@@ -103,7 +104,6 @@ def group() -> Any:
         cls=LazyCommands,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
-        no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
         epilog=_EPILOG,
     )

@@ -296,7 +296,10 @@ def _run_many(
     summary += [f"{len(missing)} missing"] if missing else []
     summary += [f"{len(failed)} failed"] if failed else []
     _say(", ".join(summary))
-    return failed[0][1].exit_code if failed else 0
+    if failed:
+        return failed[0][1].exit_code
+    # Whoever names a range wants all of it: a script must see that frames were not there.
+    return FileError.exit_code if missing and frames is not None else 0
 
 
 def _print_line(result: Result) -> None:

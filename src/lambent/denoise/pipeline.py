@@ -369,6 +369,11 @@ def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame
             f"cannot denoise a {type(thing).__name__} of shape {image.shape}",
             remedy="give a Frame, a path, or an array (H, W, 3) of linear radiance",
         )
+    if image.dtype.kind in "iub":
+        raise OptionError(
+            f"an array of {image.dtype} is no linear radiance",
+            remedy="for display values: lambent.frame.tonemap.inverse_srgb(array / 255)",
+        )
     if image.ndim == 3 and image.shape[2] == 4:
         frame = Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
     else:

@@ -97,6 +97,9 @@ def find_jobs(
     from lambent.frame.sequence import Sequence as FrameSequence
 
     folder = Path(source)
+    if not folder.name:  # "." and "/" have no name to put "_clean" behind
+        folder = folder.resolve()
+        source = folder
     if folder.is_dir() and frames is None:
         jobs = _folder_jobs(folder, output)
         numbered = FrameSequence.find_all(folder) if any(j.number for j in jobs) else []

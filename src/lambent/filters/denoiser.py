@@ -17,6 +17,7 @@ as a target shows the weights themselves (`lambent.filters.explain`).
 from __future__ import annotations
 
 import dataclasses
+import math
 import typing
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -250,7 +251,7 @@ def create(model: str, **options: Any) -> Denoiser:
         key = name.replace("-", "_")
         if key not in known:
             raise UnknownNameError(f"parameter of '{model}'", name, known)
-        values[key] = _convert(model, key, value, known[key][0])
+        values[key] = _sound(model, key, _convert(model, key, value, known[key][0]))
     denoiser = kind(**values)
     assert isinstance(denoiser, Denoiser)
     if denoiser.margin() > FARTHEST:
@@ -260,6 +261,16 @@ def create(model: str, **options: Any) -> Denoiser:
             remedy=f"take a smaller window: it may reach {FARTHEST} pixels",
         )
     return denoiser
+
+
+def _sound(model: str, name: str, value: Any) -> Any:
+    """The value, unless it is a number that no parameter can be."""
+    if isinstance(value, (int, float)) and not (math.isfinite(value) and value >= 0):
+        raise OptionError(
+            f"'{name}' of '{model}' cannot be {value:g}",
+            remedy=f"its default is {parameters(model)[name][1]}; see lambent models {model}",
+        )
+    return value
 
 
 def _convert(model: str, name: str, value: Any, wanted: Any) -> Any:

@@ -38,7 +38,7 @@ class Row:
     bad: int = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """What `compare` found. ``rows`` are in the order of ``pictures``.
 
@@ -54,6 +54,9 @@ class Comparison:
     exposure: float
     uncounted: int = 0
     _pairs: Mapping[str, Pair] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        return self.markdown()
 
     @property
     def size(self) -> tuple[int, int]:
