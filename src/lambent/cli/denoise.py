@@ -268,12 +268,13 @@ def _run_many(
         _say(f"{_count(len(finished), 'frame')} finished earlier, skipped")
     sequence.make_folders(todo)
     written: dict[str, str] = {}
+    told: set[str] = set()
 
     def on_done(job: Job, processed: Processed, result: Result) -> None:
         for kind, path in extras.write(processed, result).items():
             written[str(path)] = kind
         if not as_json:
-            _print_line(result)
+            _print_line(result, told)
 
     with Progress(what, quiet=as_json) as progress:
         done, failed = sequence.run_jobs(todo, settings, progress.report, on_done, extras.any)
@@ -302,8 +303,11 @@ def _run_many(
     return FileError.exit_code if missing and frames is not None else 0
 
 
-def _print_line(result: Result) -> None:
-    remarks = "".join(f"; {line}" for line in (*result.repairs, *result.notes))
+def _print_line(result: Result, told: set[str]) -> None:
+    """One line a frame; a note that every frame would repeat is told once."""
+    new = [line for line in result.notes if line not in told]
+    told.update(new)
+    remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
     print(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}", flush=True)
 
 
@@ -396,9 +400,12 @@ class _Extras:
 
 
 def _write_page(path: Path, before: Frame, after: Frame, result: Result) -> None:
+    from lambent.frame.origin import Origin
     from lambent.metrics.compare import compare
     from lambent.report import write_report
 
+    assert result.output is not None
+    after = after.replace(origin=Origin(result.output, "exr"))  # the page names both files
     details = {
         "model": result.model,
         "seconds": round(result.seconds["total"], 2),
