@@ -94,7 +94,7 @@ class StatMC(Denoiser):
         needs=("colour", "colour.variance|colour.half_a"),
         uses=("albedo", "normal"),
         cost="316 taps a pixel, each a test of three channels",
-        when="the renderer writes variances and the samples a pixel: no tuning, no training",
+        when="the renderer writes variances and the samples a pixel; from 16 spp on",
     )
 
     def __post_init__(self) -> None:
