@@ -1,0 +1,1 @@
+"""Training data: crops and clips rendered, kept, verified and read."""

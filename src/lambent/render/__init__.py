@@ -1,0 +1,1 @@
+"""Frames with every feature, from Mitsuba scenes and from Blender's Cycles."""

@@ -1,0 +1,43 @@
+"""The one place where Mitsuba is imported and its variant chosen.
+
+Mitsuba compiles a scene for one of its variants: here spectral triples and the Dr.Jit backend that
+`lambent.startup.engine` finds, so ``llvm_ad_rgb`` on a processor and ``cuda_ad_rgb`` on an NVIDIA
+device. Dr.Jit looks for LLVM when it is first used: that is why `mitsuba` asks `engine` first.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from lambent.errors import EngineError
+from lambent.startup import engine
+
+_VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+
+
+def mitsuba(device: str = "auto") -> Any:
+    """The module ``mitsuba`` with its variant set for ``device`` (auto, cpu, cuda).
+
+    A variant of the same backend that a script has set already (``llvm_mono`` …) is kept.
+    Raises `EngineError` where Mitsuba or the device is missing, with what to install.
+    """
+    backend = engine(device)
+    try:
+        mi = importlib.import_module("mitsuba")
+    except ImportError as error:
+        raise EngineError(
+            f"rendering needs Mitsuba, which cannot be imported ({error})",
+            remedy="pip install 'lambent[render]'",
+        ) from error
+    now = mi.variant()
+    if now is None or not now.startswith(backend):
+        try:
+            mi.set_variant(_VARIANTS[backend])
+        except Exception as error:
+            raise EngineError(
+                f"Mitsuba has no variant {_VARIANTS[backend]}: {error}",
+                remedy="pip install --force-reinstall 'lambent[render]'",
+            ) from error
+
+    return mi
