@@ -1,0 +1,221 @@
+"""All samples of a picture in one kernel: a lane is a pixel, the loop over samples is inside.
+
+Mitsuba's own ``render`` launches a lane a sample and adds the results up in memory; means only. Here
+sums stay in registers, so that twenty layers with their variances cost hardly more than the
+colour, and memory does not grow with the samples. Means and squared deviations are updated stably
+(Welford, "Note on a method for calculating corrected sums of squares and products", 1962).
+
+Samples lie uniformly in their pixel: a box filter. Every pass has random numbers of its own (PCG32,
+one stream a pixel), so variances and half buffers are what they claim to be. A sample whose
+radiance is not finite is left out and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lambent.errors import OptionError
+from lambent.frame.layer import FloatImage
+from lambent.render.channels import COLOUR, MOTION, Group, chosen, light_group
+from lambent.render.lights import group_table
+from lambent.render.moments import Moments
+from lambent.render.motion import Motion, pixel_motion
+from lambent.render.path import Books, PathOptions, trace
+
+#: Layers that an integrator of Mitsuba's, of which only the radiance is known, cannot split.
+_NEEDS_OUR_PATH = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
+
+
+@dataclass
+class _Sums:
+    """Registers of one lane: counts, means and squared deviations so far."""
+
+    count: Any
+    mean: list[Any]
+    spread: list[Any]
+    half_a: list[Any]
+    half_count: Any
+
+
+class FrameSampler:
+    """Samples the pictures of one sensor of a Mitsuba scene.
+
+    ``features``: what to keep beside the colour, as `lambent.render.channels.chosen` reads it.
+    ``depth``, ``rr_depth``: as of Mitsuba's ``path``; depth -1 is endless. ``integrator``: one of
+    Mitsuba's, whose ``sample`` gives the radiance in place of our paths; then light is not split.
+    ``light_groups``: name -> patterns of emitter ids. ``motion``: the previous camera and
+    positions, for motion vectors.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        sensor: int | Any = 0,
+        *,
+        features: str | Iterable[str] = "all",
+        depth: int = 12,
+        rr_depth: int = 5,
+        integrator: Any = None,
+        light_groups: Mapping[str, Iterable[str]] | None = None,
+        motion: Motion | None = None,
+    ) -> None:
+        if depth == 0 or depth < -1 or rr_depth < 1:
+            raise OptionError(
+                f"a path needs depth >= 1 (or -1, endless) and rr_depth >= 1, "
+                f"not {depth} and {rr_depth}",
+                remedy="take --depth 8",
+            )
+        self.scene = scene
+        self.sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        self.integrator = integrator
+        self.motion = motion
+        groups = [g for g in chosen(features) if g is not MOTION]
+        self.left_out: tuple[str, ...] = ()
+        if integrator is not None:
+            self.left_out = tuple(g.name for g in groups if g.name in _NEEDS_OUR_PATH)
+            groups = [g for g in groups if g.name not in _NEEDS_OUR_PATH]
+            light_groups = None
+        names, table = group_table(scene, light_groups or {})
+        self.groups: tuple[Group, ...] = (
+            COLOUR,
+            *groups,
+            *([MOTION] if motion is not None else []),
+            *(light_group(n, name) for n, name in enumerate(names)),
+        )
+        kept = {g.name for g in self.groups}
+        lighting = bool(kept & _NEEDS_OUR_PATH) or bool(names)
+        seen = kept - _NEEDS_OUR_PATH - {"colour"}
+        self.options = PathOptions(
+            depth=2**31 - 1 if depth == -1 else depth,
+            rr_depth=rr_depth,
+            lighting=lighting,
+            features=bool(seen),
+            first=motion is not None or any(n.startswith("first") for n in seen),
+            groups=table,
+            group_count=len(names),
+        )
+
+    def sample(self, spp: int, seed: int = 0) -> Moments:
+        """Trace ``spp`` samples in every pixel of the film's crop window.
+
+        The same seed gives the same samples, another seed independent ones.
+        Raises `OptionError` for fewer than one sample.
+        """
+        if spp < 1:
+            raise OptionError(f"a picture needs at least 1 sample a pixel, not {spp}")
+        film = self.sensor.film()
+        size, offset = film.crop_size(), film.crop_offset()
+        width, height = int(size[0]), int(size[1])
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed & 0xFFFFFFFF, width * height)
+        pixel = dr.arange(mi.UInt32, width * height)
+        row = pixel // width
+        corner = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + mi.Vector2f(offset)
+        with dr.suspend_grad():
+            sums = self._loop(sampler, corner, mi.Vector2f(offset), mi.Vector2f(size), spp)
+            dr.eval(sums)
+        count = _image([sums.count], width, height)[:, :, 0]
+        return Moments(
+            self.groups,
+            spp,
+            count,
+            _image(sums.mean, width, height),
+            _image(sums.spread, width, height),
+            _image(sums.half_a, width, height),
+            _image([sums.half_count], width, height)[:, :, 0],
+            int(round(spp * width * height - float(count.sum(dtype=np.float64)))),
+        )
+
+    # --------------------------------------------------------------- private
+
+    def _loop(self, sampler: Any, corner: Any, offset: Any, size: Any, spp: int) -> _Sums:
+        """The loop over samples; all that a lane knows at its end."""
+        channels = sum(g.channels for g in self.groups)
+
+        def step(i: Any, sampler: Any, sums: _Sums) -> tuple[Any, Any, _Sums]:
+            values, sampler = self._one(sampler, corner, offset, size)
+            return i + 1, sampler, _updated(sums, values, (i & 1) == 0)
+
+        sums = _Sums(
+            mi.Float(0),
+            [mi.Float(0) for _ in range(channels)],
+            [mi.Float(0) for _ in range(channels)],
+            [mi.Float(0) for _ in range(3)],
+            mi.Float(0),
+        )
+        limit = dr.opaque(mi.UInt32, spp)  # data, not code: another spp is the same kernel
+        done = dr.while_loop(
+            (mi.UInt32(0), sampler, sums),
+            lambda i, *_: i < limit,
+            step,
+            label="samples of a pixel",
+        )
+        result: _Sums = done[2]
+        return result
+
+    def _one(self, sampler: Any, corner: Any, offset: Any, size: Any) -> tuple[list[Any], Any]:
+        """One sample: the values of all channels."""
+        at = corner + sampler.next_2d()
+        time = mi.Float(self.sensor.shutter_open())
+        if self.sensor.shutter_open_time() > 0:
+            time += self.sensor.shutter_open_time() * sampler.next_1d()
+        lens = mi.Point2f(0.5)
+        if self.sensor.needs_aperture_sample():
+            lens = sampler.next_2d()
+        ray, weight = self.sensor.sample_ray(time, mi.Float(0.5), (at - offset) / size, lens)
+        if self.integrator is None:
+            books, sampler = trace(self.scene, sampler, ray, self.options)
+        else:
+            books, sampler = self._wrapped(sampler, ray)
+        if self.motion is not None:
+            books.motion = pixel_motion(self.motion, books, ray, size)  # type: ignore[attr-defined]
+        for light in ("colour", "diffuse", "direct", "emission"):
+            setattr(books, light, getattr(books, light) * weight)
+        books.groups = [g * weight for g in books.groups]
+        values: list[Any] = []
+        for group in self.groups:
+            values += list(group.take(books))
+        return values, sampler
+
+    def _wrapped(self, sampler: Any, ray: Any) -> tuple[Books, Any]:
+        """Radiance by an integrator of Mitsuba's, features by ours."""
+        from lambent.render.path import look_ahead
+
+        books, sampler = look_ahead(self.scene, sampler, ray, self.options)
+        differential = mi.RayDifferential3f(ray)
+        medium = self.sensor.medium()
+        radiance, _, _ = self.integrator.sample(self.scene, sampler, differential, medium)
+        books.colour = mi.Color3f(radiance)
+        return books, sampler
+
+
+def _updated(sums: _Sums, values: list[Any], even: Any) -> _Sums:
+    """Welford's update with one sample, if its radiance is finite."""
+    finite = dr.isfinite(values[0]) & dr.isfinite(values[1]) & dr.isfinite(values[2])
+    count = sums.count + dr.select(finite, 1, 0)
+    weight = dr.select(finite, dr.rcp(count), 0)
+    mean, spread = [], []
+    for value, m, s in zip(values, sums.mean, sums.spread, strict=True):
+        apart = dr.select(finite, value - m, 0)
+        new = dr.fma(apart, weight, m)
+        mean.append(new)
+        spread.append(dr.fma(apart, dr.select(finite, value - new, 0), s))
+    takes = finite & even
+    half_count = sums.half_count + dr.select(takes, 1, 0)
+    half_weight = dr.select(takes, dr.rcp(half_count), 0)
+    half_a = [
+        dr.fma(dr.select(takes, v - h, 0), half_weight, h)
+        for v, h in zip(values[:3], sums.half_a, strict=True)
+    ]
+    return _Sums(count, mean, spread, half_a, half_count)
+
+
+def _image(planes: list[Any], width: int, height: int) -> FloatImage:
+    stacked = np.stack([np.array(plane, np.float32) for plane in planes], axis=-1)
+    return np.ascontiguousarray(stacked.reshape(height, width, -1))
