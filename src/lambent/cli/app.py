@@ -26,6 +26,7 @@ COMMANDS = {
     "denoise": "Clean a noisy render, or a sequence of them.",
     "inspect": "Show what is in a file: parts, layers, roles, suspicious pixels.",
     "compare": "Measure images against a reference, as a table or a page.",
+    "dataset": "Make training data, look at it, verify it.",
     "explain": "Show the weights with which a filter averages around one pixel.",
     "models": "List the denoisers: what they need, cost, and which paper they are from.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
@@ -49,11 +50,14 @@ class LazyCommands(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         module = importlib.import_module(f"lambent.cli.{cmd_name}")
+        found = getattr(module, cmd_name)
+        if isinstance(found, typer.Typer):  # a command with commands of its own
+            return typer.main.get_command(found)
         single = typer.Typer(
             add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
         )
         single.command(name=cmd_name, help=module.__doc__, epilog=getattr(module, "EPILOG", None))(
-            getattr(module, cmd_name)
+            found
         )
         return typer.main.get_command(single)
 

@@ -1,0 +1,255 @@
+"""Make training data: crops with several noise levels, every feature and a clean target.
+
+A recipe, a small TOML file, says from which scenes, how many, how noisy; the documentation has all
+its keys. Making goes on where it stopped, whatever stopped it: give the same command again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.progress import Progress, show_seconds
+
+if TYPE_CHECKING:
+    from lambent.dataset.make import Outcome
+
+EPILOG = "Example: lambent dataset make recipes/mixed.toml -o data --time 2h"
+
+dataset = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    help=__doc__,
+    epilog=EPILOG,
+)
+
+RecipeArgument = Annotated[Path, typer.Argument(metavar="RECIPE", help="A TOML file.")]
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A data set.")]
+
+
+@dataset.command()
+def make(
+    recipe: RecipeArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Where the set is; in the cache, by its name, if not given.",
+        ),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option("--count", metavar="N", help="Crops, instead of the recipe's.")
+    ] = None,
+    clips: Annotated[
+        int | None, typer.Option("--clips", metavar="N", help="Clips, instead of the recipe's.")
+    ] = None,
+    processes: Annotated[
+        int,
+        typer.Option(
+            "--processes",
+            metavar="N",
+            help="Processes; one already uses all processors. On a cluster: workers, 0 for all.",
+        ),
+    ] = 1,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            "--cluster",
+            metavar="ADDRESS",
+            help="Work on a Ray cluster: its address, 'auto' for the one running here, or 'local'.",
+        ),
+    ] = None,
+    time: Annotated[
+        str | None,
+        typer.Option("--time", metavar="TIME", help="Stop after so long: 90s, 30m, 2h."),
+    ] = None,
+    trust: Annotated[
+        bool,
+        typer.Option("--trust", help="Compare only the sizes of the files there are, not hashes."),
+    ] = False,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Make a set, or what is missing of one.
+
+    Validation scenes are refused. Damaged files are made again.
+    """
+    import dataclasses
+
+    from lambent.dataset.make import default_folder
+    from lambent.dataset.make import make as run
+    from lambent.dataset.recipe import load_recipe
+
+    seconds = None if time is None else parse_time(time)
+    chosen = load_recipe(recipe)
+    if count is not None:
+        chosen = dataclasses.replace(chosen, count=count)
+    if clips is not None:
+        chosen = dataclasses.replace(chosen, clip_count=clips)
+    folder = output if output is not None else default_folder(chosen)
+    if cluster is None and processes == 0:
+        processes = 1
+    with Progress(chosen.name, quiet=as_json) as progress:
+        try:
+            outcome = run(
+                chosen,
+                folder,
+                processes=processes,
+                cluster=cluster,
+                device=device,
+                seconds=seconds,
+                trust=trust,
+                progress=progress.report,
+            )
+        except KeyboardInterrupt:
+            _say_resume(folder)
+            raise
+    if as_json:
+        print_json(outcome.as_dict())
+    else:
+        _print_outcome(outcome)
+    if outcome.failed:
+        raise typer.Exit(1)
+
+
+@dataset.command()
+def preview(
+    what: Annotated[
+        Path, typer.Argument(metavar="DIR|RECIPE", help="A data set, or a recipe to try.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="SHEET.png", help="The contact sheet.")
+    ],
+    count: Annotated[int, typer.Option("--count", metavar="N", help="How many to show.")] = 24,
+    spp: Annotated[int, typer.Option("--spp", metavar="N", help="Of a recipe's views.")] = 32,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a sheet.")] = False,
+    device: DeviceOption = "auto",
+) -> None:
+    """Show a set, or the scenes that a recipe gives, as one contact sheet."""
+    from lambent.dataset.preview import preview_recipe, preview_set
+    from lambent.dataset.recipe import load_recipe
+    from lambent.errors import OptionError
+    from lambent.frame.atomic import check_target
+
+    if count < 1 or spp < 2:
+        raise OptionError("--count needs 1 or more, --spp 2 or more")
+    check_target(output, overwrite)
+    with Progress(what.name) as progress:
+        if what.is_dir():
+            preview_set(what, output, count, overwrite)
+        else:
+            recipe = load_recipe(what)
+            preview_recipe(recipe, output, count, spp, device, overwrite, progress.report)
+    print(output)
+
+
+@dataset.command()
+def info(folder: FolderArgument, as_json: JsonOption = False) -> None:
+    """Say what is in a set: items, sizes, noise levels, kinds, times, licences."""
+    from lambent.dataset.summary import summary
+
+    found = summary(folder)
+    print_json(found) if as_json else _print_info(found)
+
+
+@dataset.command()
+def verify(folder: FolderArgument, as_json: JsonOption = False) -> None:
+    """Hash and decode every file; name damaged, missing and foreign ones. Exit code 2 if any."""
+    from lambent.dataset.check import verify as check
+
+    with Progress(str(folder), quiet=as_json) as progress:
+        verdict = check(folder, progress.report)
+    if as_json:
+        print_json(verdict.as_dict())
+    else:
+        for file, wrong in verdict.corrupt.items():
+            print(f"damaged   {file}: {wrong}")
+        for file in verdict.missing:
+            print(f"missing   {file}")
+        for file in verdict.strangers:
+            print(f"stranger  {file}: not in the list of items")
+        print(f"{verdict.good:,} of {verdict.wanted:,} items are there and sound.")
+        if verdict.corrupt or verdict.missing:
+            print("The same 'lambent dataset make' makes them again.")
+    if not verdict.sound:
+        raise typer.Exit(2)
+
+
+def parse_time(text: str) -> float:
+    """``"90"``, ``"90s"``, ``"30m"``, ``"2h"`` to seconds. Raises `OptionError`."""
+    import re
+
+    from lambent.errors import OptionError
+
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) *(s|m|min|h)?", text.strip())
+    if match is None or float(match.group(1)) <= 0:
+        raise OptionError(f"--time '{text}' is no time", remedy="for example 90s, 30m or 2h")
+    return float(match.group(1)) * {"h": 3600, "m": 60, "min": 60}.get(match.group(2) or "s", 1)
+
+
+# ------------------------------------------------------------------- private
+
+
+def _say_resume(folder: Path) -> None:
+    import sys
+
+    print(f"{folder}: the same command goes on from here", file=sys.stderr)
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    for note in outcome.notes:
+        print(f"note: {note}")
+    for failed in outcome.failed:
+        numbers = ", ".join(map(str, failed.job.items))
+        print(f"failed: {failed.job.what} {numbers}: {failed.reason}")
+    print(outcome.folder)
+    if not outcome.made:
+        left = "nothing was missing" if not outcome.left else "nothing could be made"
+        print(f"{outcome.before:,} items were there; {left}.")
+        return
+    pace = outcome.made / max(outcome.seconds, 1e-9) * 3600
+    size = outcome.bytes / outcome.made / 1e6
+    print(
+        f"{outcome.made:,} items made in {show_seconds(outcome.seconds)} ({pace:,.0f} an hour, "
+        f"{size:.2f} MB each); {outcome.before:,} were there."
+    )
+    total = sum(outcome.phases.values())
+    if total > 0:
+        shares = sorted(outcome.phases.items(), key=lambda entry: -entry[1])
+        print("Time: " + ", ".join(f"{name} {100 * s / total:.0f} %" for name, s in shares))
+    if outcome.left:
+        print(f"{outcome.left:,} are still to be made: the same command goes on.")
+
+
+def _print_info(found: dict[str, Any]) -> None:
+    print(f"{found['name']}: {found['source']}, seed {found['seed']}, in {found['folder']}\n")
+    rows = [("", "made", "wanted", "MB each", "s each", "target spp", "target relMSE")]
+    for what in ("crops", "clips"):
+        kind = found[what]
+        spp = kind["target_spp"]
+        rows.append(
+            (
+                what,
+                f"{kind['made']:,}",
+                f"{kind['wanted']:,}",
+                "" if kind["bytes_each"] is None else f"{kind['bytes_each'] / 1e6:.2f}",
+                "" if kind["seconds_each"] is None else f"{kind['seconds_each']:.2f}",
+                "" if spp is None else f"{spp[0]}-{spp[2]}, half {spp[1]}",
+                "" if kind["target_relmse"] is None else f"{kind['target_relmse']:.2g}",
+            )
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(t.rjust(w) for t, w in zip(row, widths, strict=True)).rstrip())
+    print(f"\n{found['bytes'] / 1e9:.2f} GB, {found['scenes']:,} scenes")
+    print("kinds:    " + ", ".join(f"{k or 'one'} {n:,}" for k, n in found["kinds"].items()))
+    print("spp:      " + ", ".join(f"{k}: {n:,}" for k, n in found["spp"].items()))
+    print("licences: " + ("; ".join(found["licences"]) or "none stated"))

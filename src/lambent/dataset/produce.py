@@ -1,0 +1,243 @@
+"""From a job to its finished items: scene, pilot, windows, noise levels, target.
+
+The noise levels of an item and every pass of its target draw from random numbers of their own, so
+that all are independent of each other. A target begins with the recipe's spp, or a multiple of the
+highest noise level, and goes on in passes until its expected relMSE is small enough.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lambent.dataset.item import Item, Still
+from lambent.dataset.pack import packed
+from lambent.dataset.phases import Phases
+from lambent.dataset.plan import (
+    STILL,
+    Job,
+    cameras,
+    generator,
+    level_spp,
+    number,
+    per_scene,
+    scene_seed,
+)
+from lambent.dataset.recipe import Recipe
+from lambent.dataset.source import Scene, Source, UnfitSceneError, View
+from lambent.dataset.windows import Choice, choose
+from lambent.errors import LambentError
+from lambent.frame.frame import Frame
+from lambent.frame.role import Role, Stat
+
+#: So many scenes are tried in the place of one that is unfit.
+ATTEMPTS = 8
+
+
+@dataclass(frozen=True)
+class Made:
+    """A finished item: the bytes of its file, their hash, and what is known of it."""
+
+    what: str
+    index: int
+    content: bytes
+    sha256: str
+    about: dict[str, Any]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Items of a job that could not be made, and why."""
+
+    job: Job
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Set:
+    """A scene that is fit, with the crops that are to be cut from it: camera and choice of each."""
+
+    scene: Scene
+    attempt: int
+    crops: tuple[tuple[int, Choice], ...]
+    rejected: tuple[str, ...]
+
+
+def produce(recipe: Recipe, source: Source, job: Job, phases: Phases) -> Iterator[Made]:
+    """The items of a job, one after the other. Raises `LambentError` if no scene is fit."""
+    start = time.perf_counter()
+    found = _find(recipe, source, job, phases)
+    spent = time.perf_counter() - start
+    views: dict[int, Any] = {}
+    for index in sorted(job.items, key=lambda i: (found.crops[_place(recipe, job, i)][0], i)):
+        start = time.perf_counter()
+        camera, _ = found.crops[_place(recipe, job, index)]
+        if camera not in views:
+            with phases("scene"):
+                views = {camera: found.scene.views(camera)}
+        item = _item(recipe, job, index, views[camera], found, phases)
+        with phases("encode"):
+            content = packed(item)
+            sha = hashlib.sha256(content).hexdigest()
+        # The scene's own time is shared by its items.
+        seconds = time.perf_counter() - start + spent / len(job.items)
+        yield Made(job.what, index, content, sha, dict(item.about), seconds)
+
+
+def attempt(recipe: Recipe, source: Source, job: Job, phases: Phases) -> Iterator[Made | Failed]:
+    """Like `produce`; what goes wrong with a scene becomes a `Failed`, so that others go on."""
+    try:
+        yield from produce(recipe, source, job, phases)
+    except Exception as error:  # whatever a renderer raises for one scene
+        yield Failed(job, f"{type(error).__name__}: {error}")
+
+
+# ------------------------------------------------------------------- private
+
+
+def _place(recipe: Recipe, job: Job, index: int) -> int:
+    return index - job.number * per_scene(recipe, job.what)
+
+
+def _find(recipe: Recipe, source: Source, job: Job, phases: Phases) -> _Set:
+    """The first fit scene of a job. Depends on the recipe and the job's number alone."""
+    rejected = []
+    for attempt in range(ATTEMPTS):
+        seed = scene_seed(recipe, job, attempt)
+        try:
+            with phases("scene"):
+                scene = source.scene(
+                    seed, job.number, 1 if job.what == STILL else recipe.clip_frames
+                )
+            crops = _crops(recipe, job, scene, attempt, phases)
+        except (MemoryError, OSError):
+            raise
+        except Exception as error:  # a scene that cannot be built or rendered: take another
+            rejected.append(f"seed {seed}: {type(error).__name__}: {error}")
+            continue
+        return _Set(scene, attempt, crops, tuple(rejected))
+    raise LambentError(
+        f"of {ATTEMPTS} scenes for {job.what} {job.first} none is fit: {'; '.join(rejected)}",
+        remedy="look at them: lambent dataset preview RECIPE",
+    )
+
+
+def _crops(
+    recipe: Recipe, job: Job, scene: Scene, attempt: int, phases: Phases
+) -> tuple[tuple[int, Choice], ...]:
+    """Camera and window of every item that the scene gives. Raises `UnfitSceneError`."""
+    total = per_scene(recipe, job.what)
+    number_of_cameras = min(cameras(recipe, job.what), scene.cameras)
+    size = tuple(max(16, round(length * recipe.pilot_scale)) for length in recipe.view)
+    pilots: dict[int, Frame] = {}
+    for camera in range(number_of_cameras):
+        with phases("scene"):
+            views = scene.views(camera)
+        with phases("pilot"):
+            seed = number(recipe, job.what, "pilot", job.number, attempt, camera)
+            pilots[camera] = views[len(views) // 2].pilot(
+                (size[0], size[1]), recipe.pilot_spp, seed
+            )
+    chosen: dict[int, list[Choice]] = {}
+    for camera, pilot in pilots.items():
+        random = generator(recipe, job.what, "windows", job.number, attempt, camera)
+        # Enough for all items, should the other cameras see nothing.
+        found = choose(pilot, recipe.view, recipe.crop, total, recipe.uniform, random)
+        if found:
+            chosen[camera] = list(found)
+    if not chosen:
+        raise UnfitSceneError("every view is black or smooth")
+    # Cameras take turns.
+    crops: list[tuple[int, Choice]] = []
+    while len(crops) < total:
+        for camera in sorted(chosen):
+            crops += [(camera, chosen[camera].pop(0))] if chosen[camera] else []
+    return tuple(crops[:total])
+
+
+def _item(recipe: Recipe, job: Job, index: int, views: Any, found: _Set, phases: Phases) -> Item:
+    camera, choice = found.crops[_place(recipe, job, index)]
+    spp = level_spp(recipe, job, index)
+    stills = []
+    for k, view in enumerate(views):
+        levels = []
+        for n, count in enumerate(spp):
+            with phases("noise levels"):
+                seed = number(recipe, job.what, index, k, "level", n)
+                levels.append(_sound(view.sample(choice.window, count, seed).frame()))
+        with phases("target"):
+            stills.append(Still(tuple(levels), _target(recipe, job, index, k, view, choice, spp)))
+    window = choice.window
+    about = {
+        "what": job.what,
+        "index": index,
+        "recipe": recipe.name,
+        "essence": recipe.essence,
+        "source": recipe.source,
+        **found.scene.about,
+        "attempt": found.attempt,
+        "rejected": list(found.rejected),
+        "camera": camera,
+        "view": list(recipe.view),
+        "window": [window.x, window.y, window.edge],
+        "frames": len(stills),
+        "spp": list(spp),
+        "target_spp": [still.target.spp for still in stills],
+        "target_error": [round(relative_error(still.target), 6) for still in stills],
+        "score": round(choice.score, 5),
+        "density": round(choice.density, 5),
+    }
+    return Item(tuple(stills), about)
+
+
+def _target(
+    recipe: Recipe,
+    job: Job,
+    index: int,
+    frame: int,
+    view: View,
+    choice: Choice,
+    spp: tuple[int, ...],
+) -> Frame:
+    wanted = recipe.target_spp if job.what == STILL else recipe.clip_target_spp
+    least = max(wanted, round(recipe.target_over_level * max(spp)))
+    more = max(least // 2, 2)
+    total, done = None, 0
+    for step in range(1 << 20):
+        seed = number(recipe, job.what, index, frame, "target", step)
+        samples = view.sample(choice.window, least if total is None else more, seed)
+        total = samples if total is None else total + samples
+        done = total.spp
+        made = _sound(total.frame())
+        # A clip's frames are alike: more for one of them would make it flicker.
+        enough = job.what != STILL or relative_error(made) <= recipe.target_error
+        if enough or done + more > recipe.target_most:
+            break
+    return made
+
+
+def _sound(frame: Frame) -> Frame:
+    if not np.isfinite(frame.colour).all():
+        raise UnfitSceneError("the render has radiance that is not finite")
+    return frame
+
+
+def relative_error(frame: Frame) -> float:
+    """The expected relMSE of a frame by its own variance, without its worst 0.1 % of pixels.
+
+    The floor of the denominator is a hundredth of the crop's mean radiance squared, so that the
+    measure knows no exposure.
+    """
+    variance = frame.get(Role.COLOUR, Stat.VARIANCE)
+    if variance is None:
+        return float("inf")
+    light = frame.colour.astype(np.float64).mean(axis=2)
+    floor = 0.01 * float(light.mean()) ** 2 + 1e-20
+    errors = np.sort((variance.astype(np.float64).mean(axis=2) / (light**2 + floor)).ravel())
+    return float(errors[: max(1, int(len(errors) * 0.999))].mean())

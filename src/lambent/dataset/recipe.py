@@ -1,0 +1,220 @@
+"""The recipe of a data set: a small TOML file, of which everything in the set follows.
+
+::
+
+    name = "rooms"
+    seed = 1
+    source = "procedural"      # procedural, scenes, cycles, blend, or a "module:attribute"
+    count = 4000               # crops
+    clip_count = 300           # short moving clips
+
+Every other key has the default below. Unknown keys are errors, answered with the nearest known one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import hashlib
+import importlib
+import json
+import os
+import sys
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lambent.dataset.validation import refuse_scene, refuse_seeds
+from lambent.errors import FileError, OptionError
+
+#: A set may grow: these keys change how much there is, not what an item holds.
+GROWING = ("count", "clip_count")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Settings of a data set. Sizes are in pixels, ``(width, height)``; spp are samples per pixel.
+
+    ``kinds``: kinds of scenes the source knows, empty for all; ``scenes``: files, for the sources
+    that read files; ``seeds``: seeds of the scenes one after the other, empty for random ones.
+    ``items_per_scene`` crops are cut from ``cameras_per_scene`` views of a scene.
+    ``levels`` noise levels a crop, of ``spp`` (lowest, highest), log-spaced, such that their
+    expected mean is ``mean_spp``. The target takes ``target_spp`` and at least
+    ``target_over_level`` times the highest level, then more until its expected relMSE is
+    ``target_error`` or it has ``target_most`` spp. ``uniform``: share of the crops that are chosen
+    without looking at what is in them.
+    """
+
+    name: str
+    seed: int
+    source: str = "procedural"
+    count: int = 0
+    clip_count: int = 0
+    kinds: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
+    licences: tuple[str, ...] = ()
+    items_per_scene: int = 16
+    cameras_per_scene: int = 4
+    view: tuple[int, int] = (640, 360)
+    crop: int = 128
+    levels: int = 3
+    spp: tuple[int, int] = (1, 1024)
+    mean_spp: float = 24.0
+    target_spp: int = 128
+    target_most: int = 256
+    target_error: float = 0.002
+    target_over_level: float = 2.0
+    depth: int = 12
+    clips_per_scene: int = 2
+    clip_frames: int = 6
+    clip_levels: int = 1
+    clip_mean_spp: float = 8.0
+    clip_target_spp: int = 128
+    pilot_spp: int = 4
+    pilot_scale: float = 0.5
+    uniform: float = 0.3
+    variants: int = 8
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            if field.type == "float":
+                object.__setattr__(self, field.name, float(getattr(self, field.name)))
+        for name, low, high in _RANGES:
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if not low <= number <= high:
+                    raise OptionError(
+                        f"{name} = {number} is out of range",
+                        remedy=f"take a value from {low} to {high}",
+                    )
+        if self.spp[0] > self.spp[1]:
+            raise OptionError(f"spp = {list(self.spp)} is upside down", remedy="lowest first")
+        if min(self.view) < self.crop:
+            raise OptionError(
+                f"a view of {self.view[0]}x{self.view[1]} has no crop of {self.crop} pixels",
+                remedy="make the view larger or the crop smaller",
+            )
+        if not self.name or any(c in self.name for c in "/\\\0") or self.name.startswith("."):
+            raise OptionError(
+                f"'{self.name}' is no name for a data set", remedy="take a plain word"
+            )
+        refuse_seeds(self.seeds)
+        for scene in self.scenes:
+            refuse_scene(Path(scene))
+
+    @property
+    def essence(self) -> str:
+        """A hash of all that decides what an item holds; the same for a set that has grown."""
+        settings = {k: v for k, v in self.as_dict().items() if k not in (*GROWING, "name")}
+        return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every key with its value, as JSON and TOML know them."""
+        fields = dataclasses.asdict(self)
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in fields.items()}
+
+    @classmethod
+    def from_dict(cls, settings: dict[str, Any], file: object = None) -> Recipe:
+        """A recipe from keys and values. Raises `OptionError` for unknown keys and wrong types."""
+        kinds = typing.get_type_hints(cls)
+        ready = {}
+        for key, value in settings.items():
+            if key not in kinds:
+                near = difflib.get_close_matches(key, kinds, n=1, cutoff=0.4)
+                known = f"known: {', '.join(kinds)}"
+                raise OptionError(
+                    f"a recipe has no key '{key}'",
+                    file=file,
+                    remedy=f"did you mean '{near[0]}'? ({known})" if near else known,
+                )
+            ready[key] = _typed(key, value, kinds[key], file)
+        for key in ("name", "seed"):
+            if key not in ready:
+                raise OptionError(
+                    f"the recipe has no '{key}'", file=file, remedy=f"add a line: {key} = …"
+                )
+        try:
+            return cls(**ready)
+        except OptionError as error:
+            raise OptionError(error.message, file=file, remedy=error.remedy) from None
+
+
+_RANGES: tuple[tuple[str, float, float], ...] = (
+    ("seed", 0, 2**31 - 1),
+    ("count", 0, 10_000_000),
+    ("clip_count", 0, 10_000_000),
+    ("seeds", 0, 2**31 - 1),
+    ("items_per_scene", 1, 1024),
+    ("cameras_per_scene", 1, 64),
+    ("view", 16, 8192),
+    ("crop", 16, 1024),
+    ("levels", 1, 16),
+    ("spp", 1, 65536),
+    ("mean_spp", 1, 65536),
+    ("target_spp", 2, 1 << 20),
+    ("target_most", 2, 1 << 20),
+    ("target_error", 0, 1e9),
+    ("target_over_level", 0, 1024),
+    ("depth", 1, 1024),
+    ("clips_per_scene", 1, 64),
+    ("clip_frames", 1, 64),
+    ("clip_levels", 1, 16),
+    ("clip_mean_spp", 1, 65536),
+    ("clip_target_spp", 2, 1 << 20),
+    ("pilot_spp", 2, 4096),
+    ("pilot_scale", 0.05, 1),
+    ("uniform", 0, 1),
+    ("variants", 0, 10_000),
+)
+
+
+def load_recipe(path: str | os.PathLike[str]) -> Recipe:
+    """The recipe in a TOML file; scene files are found from the recipe's own folder.
+
+    Raises `FileError` (missing, no TOML), `OptionError` (unknown key, value that makes no sense,
+    a validation scene).
+    """
+    tomllib = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+    path = Path(path)
+    try:
+        settings = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileError("there is no such recipe", file=path, remedy="name a TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"cannot be read: {error}", file=path, remedy="name a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(
+            f"is no TOML: {error}", file=path, remedy="one 'key = value' a line, texts in quotes"
+        ) from None
+    recipe = Recipe.from_dict(settings, path)
+    found = []
+    for scene in recipe.scenes:
+        place = Path(os.path.expandvars(scene)).expanduser()
+        if not place.is_absolute():
+            place = path.parent / place
+        if not place.exists():
+            raise FileError(
+                f"the recipe '{path}' names a scene that is not there",
+                file=place,
+                remedy="paths count from the recipe's folder",
+            )
+        refuse_scene(place, path)
+        found.append(str(place.resolve()))
+    return dataclasses.replace(recipe, scenes=tuple(found))
+
+
+def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
+    """The value in the type of its field."""
+    if typing.get_origin(kind) is tuple:
+        inner = typing.get_args(kind)
+        if isinstance(value, (list, tuple)) and (inner[-1] is ... or len(value) == len(inner)):
+            return tuple(_typed(key, v, inner[0], file) for v in value)
+        wanted = "a list" if inner[-1] is ... else f"a list of {len(inner)}"
+        raise OptionError(f"{key} = {value!r} should be {wanted}", file=file, remedy="see the docs")
+    good = isinstance(value, (int, float) if kind is float else kind)
+    if not good or isinstance(value, bool):
+        word = {int: "a whole number", float: "a number", str: "a text"}[kind]
+        raise OptionError(f"{key} = {value!r} should be {word}", file=file, remedy="see the docs")
+    return kind(value)
