@@ -93,8 +93,9 @@ def _cell(text: str) -> str:
 
 #: Order of the pages: from the generic filter to what is best.
 ORDER = (
-    "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "sbf", "aaf",
-    "nfor", "statmc", "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
+    "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned",
+    "sbf", "sbf-tuned", "aaf", "nfor", "nfor-tuned", "statmc", "statmc-tuned",
+    "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
 )  # fmt: skip
 
 

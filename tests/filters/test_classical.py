@@ -11,7 +11,9 @@ from lambent.filters.log_colour import DARK, fit_exposure, log_colour, noise_lev
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 
-MODELS = ("box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous")
+MODELS = (
+    "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned"
+)  # fmt: skip
 #: Each with features; with and without variance other kernels run.
 VARIANCE = (False, True)
 
@@ -63,7 +65,7 @@ def test_weights_sum_to_one_and_are_the_same_for_all_targets(model, variance):
 def test_tiles_with_their_margin_give_the_untiled_result(model, variance):
     """Cut anywhere, also where a tile's own median depth or exposure would be another."""
     frame, _ = scene(90, 150, variance=variance)
-    options = {"levels": 3} if model == "atrous" else {}
+    options = {"levels": 3} if model.startswith("atrous") else {}
     denoiser = create(model, **options).fitted(frame)
     whole = denoiser.filter(frame, frame.colour)
     margin = denoiser.margin()

@@ -10,7 +10,9 @@ from lambent.filters.denoiser import create
 from lambent.filters.explain import explain, heat
 from lambent.frame.frame import Frame
 
-MODELS = ("box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous")
+MODELS = (
+    "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned"
+)  # fmt: skip
 
 
 def frame(variance=False):
@@ -32,7 +34,7 @@ def frame(variance=False):
 def test_the_weights_make_the_filtered_pixel(model, pixel):
     """Σ_q w_pq c_q from the explanation is the filter's own result, also in a corner."""
     f = frame(variance=pixel == (30, 20))
-    options = {"levels": 3} if model == "atrous" else {"radius": 3}
+    options = {"levels": 3} if model.startswith("atrous") else {"radius": 3}
     shown = explain(f, model, *pixel, **options)
     denoiser = create(model, **options).fitted(f)
     wanted = denoiser.filter(f, f.colour)[pixel[1], pixel[0]]

@@ -9,9 +9,11 @@ from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import create
 from lambent.filters.features import noise_level
 from lambent.filters.statmc import StatMC, johnson
+from lambent.filters.statmc_tuned import StatMCTuned
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role
+from lambent.kernels.statistics import t_quantile
 
 
 def two_regions(spp=32, size=64, step=2.0, seed=0):
@@ -133,10 +135,10 @@ def test_firefly_does_not_spread():
     """The test joins a firefly with all around: it must not be handed to those who know better."""
     frame = firefly()
     apart = np.hypot(*np.mgrid[-20:20, -20:20]) > 2  # the 3x3 beside it count as noisy themselves
-    assert np.abs(StatMC()(frame).colour - 1)[apart].max() < 0.1
-    assert np.abs(StatMC()(frame).colour[20, 20] - 1).max() < 1  # and is healed itself
-    spread = StatMC(by_variance=False)(frame).colour
-    assert spread[20, 26].min() > 1.1  # the paper's rule, for comparison
+    assert np.abs(StatMCTuned()(frame).colour - 1)[apart].max() < 0.1
+    assert np.abs(StatMCTuned()(frame).colour[20, 20] - 1).max() < 1  # and is healed itself
+    spread = StatMC()(frame).colour
+    assert spread[20, 26].min() > 1.05  # the paper's rule, for comparison
 
 
 def test_noise_level():
@@ -168,3 +170,16 @@ def test_what_is_missing_is_said():
         create("statmc", alpha="2")
     unknown = Frame.from_arrays(colour=colour, colour_variance=colour)
     assert StatMC().tested(unknown)[2] == float("inf")
+
+
+def test_the_plain_name_is_the_papers_rule():
+    """Radius 20, σ = 10, Welch's test alone: two pixels, by hand."""
+    plain = create("statmc")
+    assert (plain.radius, plain.sigma, plain.alpha, plain.by_variance) == (20, 10.0, 0.005, False)
+    colour = np.array([[[1.0, 1, 1], [1.2, 1.2, 1.2]]], np.float32)
+    frame = Frame.from_arrays(spp=9, colour=colour, colour_variance=np.full_like(colour, 0.01))
+    t = t_quantile(0.005, 16)
+    assert t**2 * 0.02 > 0.2**2  # so they are joined
+    w = np.exp(-1 / 200)
+    expected = [(1 + 1.2 * w) / (1 + w), (1.2 + w) / (1 + w)]
+    np.testing.assert_allclose(plain(frame).colour[0, :, 0], expected, rtol=1e-5)

@@ -25,7 +25,7 @@ def atrous_twin(targets, guide, features, scales, noise=None):
                     square = (features[yq, xq] - features) ** 2
                     if noise is not None:
                         square = np.maximum(0, square - noise[yq, xq] - noise)
-                    apart = apart + hard * square.sum(axis=2)
+                    apart = apart + (np.asarray(hard) * square).sum(axis=2)
                 w = SPLINE[j + 2] * SPLINE[i + 2] * np.exp(-apart) * inside
                 total += w[..., None] * state[yq, xq]
                 norm += w
@@ -50,6 +50,13 @@ def test_agrees_with_its_twin(shape, kind):
     stops = None if kind == "guide" else features
     found = atrous(targets, guide, stops, SCALES, noise)
     assert np.abs(found - atrous_twin(targets, guide, stops, SCALES, noise)).max() < 3e-6
+
+
+def test_a_factor_for_every_feature():
+    targets, guide, features = images((30, 45))
+    scales = [(soft, (4.0**-level, 2.0)) for level, (soft, _) in enumerate(SCALES)]
+    found = atrous(targets, guide, features, scales)
+    assert np.abs(found - atrous_twin(targets, guide, features, scales)).max() < 3e-6
 
 
 @pytest.mark.parametrize("pixel", [(20, 15), (0, 0), (44, 3)])

@@ -8,7 +8,7 @@ import pytest
 from lambent.kernels.regression import OWN_WEIGHT, Window, first_order, patch_weights, zeroth_order
 
 
-def twin_weights(guide, variance, window, k=1.0):
+def twin_weights(guide, variance, window, k=1.0, least=False):
     """w[c, q] for every centre and pixel as a dictionary, straight from the formulas."""
     height, width, _ = guide.shape
     R, F = window.radius, window.patch
@@ -27,7 +27,8 @@ def twin_weights(guide, variance, window, k=1.0):
                     there = np.s_[qy + R : qy + R + 2 * F + 1, qx + R : qx + R + 2 * F + 1]
                     d = (u[here] - u[there]) ** 2 - (v[here] + np.minimum(v[here], v[there]))
                     d = np.minimum(d / (1e-10 + k * k * (v[here] + v[there])), 1e4)
-                    weights[cy, cx, qy, qx] = np.exp(-max(0.0, d.mean()))
+                    far = d.mean(axis=(0, 1)).max() if least else d.mean()
+                    weights[cy, cx, qy, qx] = np.exp(-max(0.0, far))
     return weights
 
 
@@ -86,6 +87,19 @@ def test_agrees_with_the_formulas(noisy, stride, power):
     result = first_order(weights, features, image, (power,), ridge=1e-4)[0]
     expected = twin_regression(twin, features, image, window, power, 1e-4, 1e-3)
     np.testing.assert_allclose(result, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_least_weight_of_the_channels(noisy, stride):
+    _, image, variance = noisy
+    window = Window(3, 1, stride)
+    weights = patch_weights(image, variance, window, k=0.7, least=True)
+    shape = (window.offsets(), window.centres(13), window.centres(15))
+    found = np.array(weights.planes).reshape(shape)
+    twin = twin_weights(image, variance, window, 0.7, least=True)
+    for (cy, cx, qy, qx), value in twin.items():
+        offset = (qy - cy + 3) * 7 + qx - cx + 3
+        assert found[offset, cy // stride, cx // stride] == pytest.approx(value, abs=2e-5)
 
 
 @pytest.mark.parametrize("stride", [1, 2])

@@ -1,27 +1,29 @@
-"""Edge-avoiding à-trous wavelet filter.
+"""Edge-avoiding à-trous wavelet filter, as the paper has it.
 
 Dammertz, Sewtz, Hanika and Lensch, "Edge-avoiding à-trous wavelet transform for fast global
 illumination filtering", HPG 2010. Five levels of a 5x5 B3 spline with holes, each tap weighted by
-edge-stopping functions of colour, normal, position and here also albedo,
+edge-stopping functions of colour, normal and position,
 
-    w = exp(-|c_p - c_q|²/σ_c²) · exp(-|n_p - n_q|²/σ_n²) · exp(-|x_p - x_q|²/σ_x²) …
+    w = exp(−|c_p − c_q|²/σ_c²) · exp(−|n_p − n_q|²/(s² σ_n²)) · exp(−|x_p − x_q|²/σ_x²)
 
-with σ_c halved on every level: as the image gets smoother, so must its edges be sharper
-to count.
+with s the step of the level, and σ_c halved on every level: as the image gets smoother, so must its
+edges be sharper to count. The structure is that of the shader in the paper's appendix, known here
+from transcriptions of it. The paper leaves the widths to its reader, as far as those tell: ours are
+σ_n² = 0.01 and σ_c² = 3.3 after a public demonstration (LWJGL's ray tracing tutorial), and σ_x is
+our own choice.
 
-Where we depart: colour is compared as log radiance (`lambent.filters.log_colour`), filtered from
-level to level with the same weights; position is taken where there is no depth (depth as in
-`lambent.filters.features`, relative); the normal's distance is not divided by the level's step.
-Where features tell their variance v, what noise alone would give is taken off their distance:
-max(0, (f_p - f_q)² - v_p - v_q), after Rousselle, Manzi and Zwicker 2013.
-``demodulate`` divides by the albedo first and multiplies afterwards, as in the paper's results, so
-that texture is kept; then the weights of a pixel no longer sum to one, and layers that are no
-surface light (emission, background) are better left out. Off unless asked for.
+Radiance has no unit, and neither has position: colour is compared at the automatic exposure, the
+position in units of the scene's extent. Depth stands in where a frame has no position.
+``demodulate`` divides by the albedo first and multiplies afterwards, so that texture is kept; then
+the weights of a pixel no longer sum to one, and layers that are no surface light (emission,
+background) are better left out. Off unless asked for.
+`lambent.filters.atrous_tuned` compares ratios of radiance and more features.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -29,7 +31,7 @@ import numpy as np
 
 from lambent.filters.denoiser import About, Denoiser, Device
 from lambent.filters.features import MARGIN, Scales, features, fit_scales
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.filters.log_colour import fit_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role
@@ -40,15 +42,16 @@ _LEAST_ALBEDO = 0.01
 
 @dataclass(frozen=True)
 class ATrous(Denoiser):
-    """σ of log colour on the first level, and of the features of `lambent.filters.features`."""
+    """σ of exposed radiance on the first level, of normals and of position over the extent.
+
+    ``sigma_depth``: of log depth, where there is no position.
+    """
 
     levels: int = 5
-    sigma_colour: float = 3.0
-    sigma_normal: float = 0.35
-    sigma_depth: float = 0.1
+    sigma_colour: float = 1.8
+    sigma_normal: float = 0.1
     sigma_position: float = 0.05
-    sigma_albedo: float = 0.15
-    sigma_roughness: float = 0.3
+    sigma_depth: float = 0.1
     demodulate: bool = False
     device: Device = "auto"
     _scales: Scales | None = None
@@ -58,11 +61,10 @@ class ATrous(Denoiser):
         name="atrous",
         title="Edge-avoiding à-trous wavelet",
         paper="Dammertz et al. 2010",
-        uses=("albedo", "normal", "depth", "position", "roughness", "albedo.variance",
-              "normal.variance", "depth.variance"),
+        uses=("normal", "position", "depth"),
         cost="25 taps a pixel and level",
-        when="for previews: wide and fast, at the price of smeared detail",
-    )  # fmt: skip
+        when="the paper's form, for comparison; for previews atrous-tuned",
+    )
 
     def margin(self) -> int:
         """2·(1 + 2 + 4 + …) pixels, and what the variance of features looks at."""
@@ -79,14 +81,14 @@ class ATrous(Denoiser):
         guide, stops, noise = self._guides(frame)
         albedo = self._albedo(frame)
         if albedo is None:
-            return atrous(targets, guide, stops, self._factors(), noise, self.device)
+            return atrous(targets, guide, stops, self._factors(stops), noise, self.device)
         # every three channels are one colour; a lone channel (alpha, depth) has no albedo
         shared = albedo.mean(axis=2, keepdims=True)
         whole = targets.shape[2] // 3 * 3
         factor = np.concatenate(
             [np.tile(albedo, (1, 1, whole // 3)), *[shared] * (targets.shape[2] - whole)], axis=2
         )
-        level = self._factors()
+        level = self._factors(stops)
         return atrous(targets / factor, guide, stops, level, noise, self.device) * factor
 
     def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
@@ -94,7 +96,7 @@ class ATrous(Denoiser):
         from lambent.kernels.atrous import atrous_row
 
         guide, stops, noise = self._guides(frame)
-        row = atrous_row(guide, stops, self._factors(), x, y, noise, self.device)
+        row = atrous_row(guide, stops, self._factors(stops), x, y, noise, self.device)
         albedo = self._albedo(frame)
         if albedo is None:
             return row
@@ -108,29 +110,34 @@ class ATrous(Denoiser):
         three = albedo if albedo.shape[2] == 3 else np.repeat(albedo, 3, axis=2)
         return np.nan_to_num(np.maximum(three, 0)) + np.float32(_LEAST_ALBEDO)
 
-    def _factors(self) -> list[tuple[float, float]]:
-        """1/σ_c² of each level, 1 for the features, which are divided by their σ already."""
-        return [(4.0**level / self.sigma_colour**2, 1.0) for level in range(self.levels)]
+    def _factors(self, stops: FloatImage | None) -> list[tuple[float, float | Sequence[float]]]:
+        """1/σ_c² of each level; of the features the normal's three channels, first, by 1/s²."""
+        others = 0 if stops is None else max(0, stops.shape[2] - 3)
+        return [
+            (4.0**level / self.sigma_colour**2, (*[4.0**-level] * 3, *[1.0] * others))
+            for level in range(self.levels)
+        ]
 
     def _guides(self, frame: Frame) -> tuple[FloatImage, FloatImage | None, FloatImage | None]:
+        """What is filtered along, the features over their σ, and the variance of these."""
         exposure = fit_exposure(frame) if self._exposure is None else self._exposure
-        guide = log_colour(frame.colour, exposure)
-        found = features(frame, scales=self._scales)
-        if not len(found):
+        guide = frame.colour * np.float32(exposure)
+        place = Role.POSITION if frame.has(Role.POSITION) else Role.DEPTH
+        roles = [role for role in (Role.NORMAL, place) if frame.has(role)]
+        if not roles:
             return guide, None, None
+        found = features(frame, roles, self._scales)
         sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
             "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
             "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
+            "depth": self.sigma_depth,
             "miss": 0.25,
         }
-        sigma = np.array([sigmas[n.partition(".")[0]] for n in found.names], np.float32)
-        stops = found.stack / sigma
+        stops = found.stack / np.array([sigmas[n.partition(".")[0]] for n in found.names])
+        stops = stops.astype(np.float32)
+        if Role.NORMAL not in roles:  # its place stays: the factors go by position
+            nothing = np.zeros((*stops.shape[:2], 3), np.float32)
+            stops = np.concatenate([nothing, stops], axis=2)
         if not found.valid.all():
             stops[~found.valid] = np.nan  # takes no part
-        noise = None if found.variance is None else found.variance / sigma**2
-        return guide, stops, noise
+        return guide, stops, None

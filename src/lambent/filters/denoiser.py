@@ -198,6 +198,7 @@ def choose_passes(frame: Frame, passes: str | Iterable[str] = "all") -> list[Lay
 # ------------------------------------------------------------------ registry
 
 #: Every denoiser by name. An entry is the class; `create` makes an instance.
+#: A name alone is the paper's form; with "-tuned" it is ours.
 DENOISERS = Registry(
     "model",
     {
@@ -212,10 +213,14 @@ DENOISERS = Registry(
         "nlm": "lambent.filters.nlm:NonLocalMeans",
         "joint-nlm": "lambent.filters.nlm:JointNonLocalMeans",
         "atrous": "lambent.filters.atrous:ATrous",
+        "atrous-tuned": "lambent.filters.atrous_tuned:ATrousTuned",
         "sbf": "lambent.filters.sbf:SUREFilter",
+        "sbf-tuned": "lambent.filters.sbf_tuned:SUREFilterTuned",
         "aaf": "lambent.filters.aaf:AxisAligned",
         "nfor": "lambent.filters.nfor:NFOR",
+        "nfor-tuned": "lambent.filters.nfor_tuned:NFORTuned",
         "statmc": "lambent.filters.statmc:StatMC",
+        "statmc-tuned": "lambent.filters.statmc_tuned:StatMCTuned",
     },
     group="lambent.denoisers",
 )

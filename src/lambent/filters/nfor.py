@@ -1,78 +1,69 @@
-"""NFOR: nonlinearly weighted first-order regression.
+"""NFOR: nonlinearly weighted first-order regression, as the paper has it.
 
 "Nonlinearly Weighted First-Order Regression for Denoising Monte Carlo Renderings", Bitterli,
 Rousselle, Moon, Iglesias-Guitián, Adler, Mitchell, Jarosz and Novák, EGSR 2016. The steps, with the
-paper's sections:
+paper's sections; every number is that of the first author's public re-implementation (the denoiser
+of the Tungsten renderer), since the paper's own text was not at hand:
 
-1. features (normal, albedo, depth, ...) are filtered by NLM with their own variance (5.1);
-2. the image is regressed on features and position, with NLM weights from the colour of each half
-   of the samples, at bandwidths k/2 and k; every window predicts all its pixels, and the
-   predictions are averaged (5.2, "collaborative"; `lambent.kernels.regression`);
-3. the error of each candidate is estimated against the other half, smoothed, and the better one is
-   chosen, pixel by pixel (5.3).
+1. the features of each half are filtered by NLM, one channel at a time, with weights from the other
+   half (5.1: radius 5, patch 3, k = 0.5);
+2. each half of the image is regressed on the features and the position, with NLM weights from the
+   *other* half, at k = 1/2 and 1; the weight of a pixel is the least of its channels; every window
+   predicts all its pixels (5.2, "collaborative": radius 9, patch 3; `lambent.kernels.regression`);
+3. the squared error of each candidate is estimated from the other half, filtered by NLM with
+   weights from the image (radius 9, patch 1, k = 1), and the better bandwidth is chosen, channel by
+   channel; that choice is filtered the same way (5.3);
+4. the mean of both halves is regressed once more, on the mean of the features filtered again
+   (radius 2), with NLM weights from itself, whose variance the halves tell (5.4).
 
-Where we depart from the paper (and its public implementation in the Tungsten renderer). Measured
-on still-life, cornell-box, living-room and veach-mis at 16 spp, relMSE without the worst 0.1 % of
-the pixels unless said otherwise:
+What differs, and why:
 
-- *One linear operator for all layers.* The paper filters half A with weights from half B and
-  averages. Lighting layers have no halves, so here both operators, ½(L_A + L_B), act on the mean.
-  Layers that sum to the beauty still sum. Halves choose the bandwidth.
-- *Narrower bandwidths*: k is 0.5, so that ¼ and ½ are tried; the paper has ½ and 1. Weights average
-  the normalised distance over channels (Rousselle 2012), Tungsten takes the least weight of the
-  channels, which is narrower at the same k. Without choice and limit, 1 had up to 12 times the
-  error of ½, except in the Cornell box (0.9 times). Where noise is weak and even, and features
-  explain everything, k = 1 is better still.
-- *A limit on the planes.* Beside a firefly a plane is steep: it falls below zero, and rises to
-  many times what is there. The weighted mean of the same window (the zeroth order) cannot. Each
-  pixel goes from the mean towards the plane as far as the beauty stays between 0 and twice the
-  mean; how far is one number a pixel for all layers, so they still sum. In the living room this
-  halved the untrimmed error of the candidate at k, and took 7 % off after the choice; of 1795
-  negative pixels none is left beyond rounding.
-- *No second regression* (5.4): it changed the error of the narrower candidates by −16 to +3 % and
-  up to doubled the untrimmed one (living room), at a sixth of the time.
-- Errors are compared relative to the squared mean, as grey, smoothed over 7x7 pixels, and the
-  choice over 5x5; the paper filters both by NLM, and chooses a channel at a time.
-- Centres of windows on every ``stride``-th pixel (2: a quarter of the work). The paper has 1.
-- Features are filtered once, from their mean and variance, not crosswise twice. The normal
-  equations are solved by Cholesky with a small ridge; the paper uses QR.
-- Every colour variance is averaged over 3x3 pixels first.
-- *Without half buffers*: weights come from the image itself, and the error is SURE: the residual,
-  with the divergence measured by one random probe (Ramani et al. 2008, "Monte-Carlo SURE").
-- *Without any variance*: it is estimated from second differences (Immerkær 1996, "Fast Noise
-  Variance Estimation"), averaged over 7x7 pixels. Texture then counts as noise: the weakest form.
+- *Half buffers of features* are used where the frame has them; else the features are filtered once,
+  with their variance, and both halves get the same. Without either they are taken as they are.
+- *Without half buffers of the colour* there is nothing to cross: `lambent.filters.nfor_tuned` is
+  what runs then, and says so.
+- *Lighting layers* have no halves; theirs are made by dividing each layer between the halves as the
+  beauty's pixel is divided. So all goes through the operators of the beauty, and layers that sum to
+  it still sum. Other layers (alpha) are the same in both halves, and `NFOR.filter`, which knows no
+  roles, treats all its targets so.
+- The normal equations are solved by Cholesky in single precision, not by QR: what a feature adds
+  beyond the others must be more than a millionth of its energy; slopes on what is nearly constant
+  are held down (`kernels.regression.QUIET`).
+- Patches at the borders see the image mirrored. A pixel that no window likes keeps its own value.
+
+Planes are steep beside fireflies: values below zero occur, as in the paper.
+`lambent.filters.nfor_tuned` limits them, at some bias.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
+from lambent.filters.nfor_tuned import NFORTuned, finite, noisy_roles
 from lambent.frame.frame import Frame
-from lambent.frame.layer import FloatImage
-from lambent.frame.role import Role, Stat
+from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.role import INFO, Role, Stat
 from lambent.kernels.nlm import PatchSearch, nlm_mean
-from lambent.kernels.regression import Window, first_order, patch_weights, zeroth_order
+from lambent.kernels.regression import Window, first_order, patch_weights
 
-#: Half side of the box over which a variance without samples behind it is averaged.
-_SMOOTH = 3
-#: Half side of the box over which every variance is averaged.
-_VARIANCE_SMOOTH = 1
-#: Half side of the box over which the choice is averaged.
-_CHOICE_SMOOTH = 2
-#: Radiance squared below which errors count absolutely (that of relMSE).
-_DARK = 0.01
+#: Radius, patch and k of the feature filter (5.1), and the radius of its second turn (5.4).
+_FEATURE_RADIUS, _FEATURE_PATCH, _FEATURE_K, _FEATURE_AGAIN = 5, 3, 0.5, 2
+#: Radius, patch and k with which errors and choices are filtered (5.3).
+_CHOICE_RADIUS, _CHOICE_PATCH, _CHOICE_K = 9, 1, 1.0
+#: ε of the distances.
+_EPSILON = 1e-7
 #: The candidates: w⁴ has half the bandwidth of w.
 _POWERS = (4, 1)
-#: Radius, patch and k of the feature filter (paper, 5.1).
-_FEATURE_RADIUS, _FEATURE_PATCH, _FEATURE_K = 5, 3, 0.5
+#: Tikhonov term of the normal equations, as a share of each feature's energy: for rounding only.
+_RIDGE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -80,17 +71,15 @@ class NFOR(Denoiser):
     """First-order regression on features, in windows of ``2·radius + 1`` pixels.
 
     ``patch``: half side of the patches that weights compare; ``k``: the wider of the two
-    bandwidths, the other is half of it; ``stride``: distance of window centres (tiles begin at
-    multiples of 32: 1, 2, 4 and 8 leave no seams); ``ridge``: share of a feature's energy that is
-    added to its own; ``prefilter``: whether noisy features are filtered.
+    bandwidths, the other is half of it; ``second``: whether the result is regressed again (5.4);
+    ``stride``: distance of window centres (the paper's: 1; 2 is four times as fast).
     """
 
     radius: int = 9
     patch: int = 3
-    k: float = 0.5
-    stride: int = 2
-    ridge: float = 1e-4
-    prefilter: bool = True
+    k: float = 1.0
+    second: bool = True
+    stride: int = 1
     device: Device = "auto"
     _scales: Scales | None = None
     _noisy: tuple[str, ...] | None = None
@@ -102,9 +91,9 @@ class NFOR(Denoiser):
         "EGSR 2016",
         needs=("colour",),
         uses=(
-            "colour.variance",
             "colour.half_a",
             "colour.half_b",
+            "colour.variance",
             "albedo",
             "normal",
             "depth",
@@ -112,233 +101,247 @@ class NFOR(Denoiser):
             "normal.variance",
             "depth.variance",
         ),
-        cost="two NLM searches and four regressions with 10 unknowns over 361 pixels",
-        when="the best classical filter for final frames that carry features and half buffers",
+        cost="five regressions with 10 unknowns over 361 pixels, three NLM searches for weights",
+        when="the paper's form, for comparison; for work nfor-tuned is faster and keeps more",
     )
 
     def __post_init__(self) -> None:
-        if self.radius < 1 or self.patch < 0:
+        if self.radius < 1 or self.patch < 0 or not 1 <= self.stride <= self.radius:
             raise OptionError(
-                f"'nfor' needs radius >= 1 and patch >= 0, not {self.radius} and {self.patch}",
-                remedy="the paper's are 9 and 3",
-            )
-        if not 1 <= self.stride <= self.radius:
-            raise OptionError(
-                f"'stride' of 'nfor' lies between 1 and the radius ({self.radius}), "
-                f"not at {self.stride}",
-                remedy="take 1 (the paper's), 2 or 4",
+                f"'nfor' needs radius >= 1, patch >= 0 and a stride from 1 to the radius, not "
+                f"{self.radius}, {self.patch} and {self.stride}",
+                remedy="the paper's are 9, 3 and 1",
             )
 
     def margin(self) -> int:
-        """The regression, the smoothed choice after it, and what it is made from."""
+        """Two regressions, two filters of errors and choice between them, and the features."""
         regression = 2 * self.radius + self.patch
-        choice = 2 * _SMOOTH + _CHOICE_SMOOTH
-        made_from = (
-            max(_FEATURE_RADIUS + _FEATURE_PATCH + 1, _SMOOTH + 1 + _VARIANCE_SMOOTH) + MARGIN
-        )
-        return regression + choice + made_from
+        choice = 2 * (_CHOICE_RADIUS + _CHOICE_PATCH)
+        made_from = _FEATURE_RADIUS + _FEATURE_PATCH + 1 + MARGIN
+        again = _FEATURE_AGAIN + _FEATURE_PATCH
+        found = (1 + self.second) * regression + choice + made_from + again
+        return max(found, self._without_halves().margin())
 
     def fitted(self, frame: Frame) -> NFOR:
         """Depth range, and which features are noisy at all."""
         scales = fit_scales(frame)
-        seen = features(frame, scales=scales)
-        return dataclasses.replace(self, _scales=scales, _noisy=_noisy(seen))
+        noisy = noisy_roles(features(frame, scales=scales))
+        return dataclasses.replace(self, _scales=scales, _noisy=noisy)
 
     def bytes_per_pixel(self, channels: int) -> int:
         """The weights of a window for every centre, and the coefficients of its regression."""
         centres = 1 / self.stride**2
         window = (2 * self.radius + 1) ** 2
-        return int(4 * (centres * (window + 330) + 200 + 10 * channels))  # measured: 1530 at 720p
+        return int(4 * (centres * (window + 330) + 200 + 24 * channels))
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
-        """What is estimated because the frame does not tell it."""
-        if frame.has(Role.COLOUR, Stat.HALF_A) and frame.has(Role.COLOUR, Stat.HALF_B):
+        """What cannot be done as in the paper with this frame."""
+        if _crossed(frame):
             return ()
-        if frame.has(Role.COLOUR, Stat.VARIANCE):
-            return ("nfor: no half buffers, so bandwidths are chosen by SURE.",)
-        return (
-            "nfor: neither variance nor half buffers of the colour: the noise is estimated from "
-            "second differences, in which texture counts as noise.",
-        )
+        instead = self._without_halves().remarks(frame)
+        return ("nfor: no half buffers to cross; filtered as nfor-tuned does.", *instead)
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
-        """Filter ``targets`` ``(H, W, C)``: linear in them, the weights come from the frame."""
-        window = Window(self.radius, self.patch, self.stride)
-        seen = features(frame, scales=self._scales)
-        guide = self._prefiltered(seen)
-        colour = _finite(frame.colour)
+        """Filter ``targets`` ``(H, W, C)`` by the mean of both halves' operators.
+
+        Linear in them. Every three channels count as one colour. The beauty itself is better off
+        in `filter_layers`, where either half gets the weights that it has no part in.
+        """
+        if not _crossed(frame):
+            return self._without_halves().filter(frame, targets)
+        whole = targets.shape[2] // 3 * 3
+        channels = [c % 3 if c < whole else -1 for c in range(targets.shape[2])]
+        return self._regressed(frame, targets, targets, channels)[:, :, 3:]
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """The beauty from its halves; lighting layers divided between the halves as it is."""
+        if not _crossed(frame):
+            return self._without_halves().filter_layers(frame, layers)
+        shares = _shares(frame)
+        halves: list[list[FloatImage]] = [[], []]
+        channels: list[int] = []
+        for layer in layers[1:]:
+            image = finite(layer.data)
+            count = image.shape[2]
+            channels += list(range(3)) if count == 3 else [-1] * count
+            for half, share in zip(halves, shares, strict=True):
+                if not INFO[layer.role].radiance:
+                    half.append(image)
+                elif count == 3:
+                    half.append(image * share)
+                else:
+                    half.append(image * share.mean(axis=2, keepdims=True))
+        empty = np.zeros((frame.height, frame.width, 0), np.float32)
+        a, b = (np.concatenate([empty, *half], axis=2) for half in halves)
+        result = self._regressed(frame, a, b, channels)
+        beauty = result[:, :, :3]
+        if layers[0].data.shape[2] == 1:
+            beauty = beauty.mean(axis=2, keepdims=True, dtype=np.float32)
+        ends = np.cumsum([layer.data.shape[2] for layer in layers[1:]])[:-1]
+        rest = np.split(result[:, :, 3:], ends, axis=2) if len(layers) > 1 else []
+        return [beauty, *rest]
+
+    # ------------------------------------------------------------------ the steps
+
+    def _regressed(
+        self, frame: Frame, more_a: FloatImage, more_b: FloatImage, channels: list[int]
+    ) -> FloatImage:
+        """The beauty ``(H, W, 3)`` and, behind it, other images of which each half is given.
+
+        ``channels``: which channel of the beauty decides over each of them, or −1 for the mean.
+        """
+        colour = finite(frame.colour)
+        half_a, half_b = _halves(frame)
         variance = variance_of(frame, Role.COLOUR)
-        if variance is None:
-            variance = spatial_variance(colour)
-        # A variance of few samples is noisy itself, and low where no bright path was met.
-        variance = box_mean(np.array(np.broadcast_to(variance, colour.shape)), _VARIANCE_SMOOTH)
-        # The limit needs the beauty: usually it is the first of the targets.
-        count = targets.shape[2]
-        if count < 3 or not np.array_equal(targets[:, :, :3], colour):
-            targets = np.concatenate([colour, targets], axis=2)
-        a, b = frame.get(Role.COLOUR, Stat.HALF_A), frame.get(Role.COLOUR, Stat.HALF_B)
-        if a is not None and b is not None:
-            halves = [_finite(np.broadcast_to(h, colour.shape)) for h in (a, b)]
-            result = self._crossed(halves, variance, guide, targets, window)
-        else:
-            result = self._single(colour, variance, guide, targets, window)
-        return result[:, :, result.shape[2] - count :]
+        assert variance is not None  # there are halves
+        variance = np.array(np.broadcast_to(variance, colour.shape))
+        features_a, features_b, features_both = self._features(frame)
+        window = Window(self.radius, self.patch, self.stride)
+        fits = []
+        for own, more, other, guide in (
+            (half_a, more_a, half_b, features_b),
+            (half_b, more_b, half_a, features_a),
+        ):
+            weights = patch_weights(other, 2 * variance, window, self.device, self.k, least=True)
+            images = np.concatenate([own, more], axis=2)
+            fits.append(first_order(weights, guide, images, _POWERS, _RIDGE))
+            del weights
+        errors = [
+            estimated_error(a[:, :, :3], b[:, :, :3], half_a, half_b, variance)
+            for a, b in zip(*fits, strict=True)
+        ]
+        wide = self._share_of_wide(errors, colour, variance)
+        share = _by_channel(wide, [0, 1, 2, *channels])
+        a, b = (narrow + share * (broad - narrow) for narrow, broad in fits)
+        both = ((a + b) / 2).astype(np.float32)
+        if not self.second:
+            return both
+        guide = both[:, :, :3]
+        spread = ((b - a)[:, :, :3] ** 2 / 4).astype(np.float32)
+        weights = patch_weights(guide, 2 * spread, window, self.device, self.k, least=True)
+        return first_order(weights, features_both, both, (1,), _RIDGE)[0]
 
-    def _crossed(
-        self,
-        halves: list[FloatImage],
-        variance: FloatImage,
-        guide: FloatImage,
-        targets: FloatImage,
-        window: Window,
+    def _share_of_wide(
+        self, errors: list[FloatImage], colour: FloatImage, variance: FloatImage
     ) -> FloatImage:
-        """With half buffers: each half tells the weights that the other is judged with."""
-        grey = [_grey(half) for half in halves]
-        fits: list[list[FloatImage]] = []
-        means: list[FloatImage] = []
-        for own, other in ((grey[0], halves[1]), (grey[1], halves[0])):
-            weights = patch_weights(other, 2 * variance, window, self.device, self.k)
-            images = np.concatenate([own, targets], axis=2)
-            fits.append(first_order(weights, guide, images, _POWERS, self.ridge))
-            means.append(zeroth_order(weights, images, _POWERS[0]))
-        mean = _single_precision((means[0] + means[1]) / 2)
-        found, errors = [], []
-        for plane_a, plane_b in zip(*fits, strict=True):
-            plane = _single_precision((plane_a + plane_b) / 2)
-            share = limit(plane[:, :, 1:4], mean[:, :, 1:4])
-            a, b = (m + share * (p - m) for p, m in zip((plane_a, plane_b), means, strict=True))
-            found.append((a[:, :, 1:] + b[:, :, 1:]) / 2)
-            a, b = a[:, :, :1], b[:, :, :1]
-            error = ((grey[1] - a) ** 2 + (grey[0] - b) ** 2) / 2
-            # Less the noise of the halves, which is the same for both candidates.
-            errors.append(error - (b - a) ** 2 / 4)
-        return _chosen(found, errors, mean[:, :, 1:4])
-
-    def _single(
-        self,
-        colour: FloatImage,
-        variance: FloatImage,
-        guide: FloatImage,
-        targets: FloatImage,
-        window: Window,
-    ) -> FloatImage:
-        """Without half buffers: errors by SURE."""
-        weights = patch_weights(colour, variance, window, self.device, self.k)
-        mean_variance = variance.mean(axis=2, keepdims=True, dtype=np.float32)
-        probe = _signs(colour) * np.sqrt(mean_variance)
-        images = np.concatenate([probe, targets], axis=2)
-        mean = zeroth_order(weights, images, _POWERS[0])
-        found, errors = [], []
-        for plane in first_order(weights, guide, images, _POWERS, self.ridge):
-            fit = mean + limit(plane[:, :, 1:4], mean[:, :, 1:4]) * (plane - mean)
-            found.append(fit[:, :, 1:])
-            errors.append((fit[:, :, 1:4] - colour) ** 2 + 2 * probe * fit[:, :, :1])
-        return _chosen(found, errors, mean[:, :, 1:4])
-
-    def _prefiltered(self, seen: Features) -> FloatImage:
-        """The features, the noisy ones filtered by NLM with their own variance."""
-        stack = seen.stack
-        if seen.variance is None or not self.prefilter:
-            return stack
-        noisy = self._noisy if self._noisy is not None else _noisy(seen)
-        result = stack.copy()
-        for role in dict.fromkeys(noisy):
-            at = seen.index(Role(role))
-            image, variance = stack[:, :, at], seen.variance[:, :, at]
-            numbers = (_FEATURE_K**2, 1.0, 1e-10)
+        """How much of the wider bandwidth each channel of each pixel takes ``(H, W, 3)`` (5.3)."""
+        share = np.empty_like(colour)
+        numbers = (_CHOICE_K**2, 1.0, _EPSILON)
+        for c in range(colour.shape[2]):
+            part = slice(c, c + 1)
             search = PatchSearch.of(
-                image,
-                variance,
-                _FEATURE_RADIUS,
-                _FEATURE_PATCH,
+                colour[:, :, part],
+                variance[:, :, part],
+                _CHOICE_RADIUS,
+                _CHOICE_PATCH,
                 numbers=numbers,
                 device=self.device,
             )
-            result[:, :, at] = nlm_mean(image, search)
-        return result
+            maps = nlm_mean(np.concatenate([e[:, :, part] for e in errors], axis=2), search)
+            wider = (maps[:, :, :1] >= maps[:, :, 1:]).astype(np.float32)
+            share[:, :, part] = nlm_mean(wider, search)
+        return share
+
+    def _features(self, frame: Frame) -> tuple[FloatImage, FloatImage, FloatImage]:
+        """Features filtered for half A, for half B, and for the second regression."""
+        seen = features(frame, scales=self._scales)
+        halves = [self._half_features(frame, stat) for stat in (Stat.HALF_A, Stat.HALF_B)]
+        found = [seen.stack.copy(), seen.stack.copy(), seen.stack.copy()]
+        noisy = self._noisy if self._noisy is not None else noisy_roles(seen)
+        for role in noisy:
+            for channel in seen.index(Role(role)):
+                part = slice(channel, channel + 1)
+                assert seen.variance is not None  # else nothing is noisy
+                images = self._crossed_feature(
+                    [h.stack[:, :, part] for h in halves], seen.variance[:, :, part]
+                )
+                for whole, image in zip(found, images, strict=True):
+                    whole[:, :, part] = image
+        return found[0], found[1], found[2]
+
+    def _crossed_feature(
+        self, halves: list[FloatImage], variance: FloatImage
+    ) -> tuple[FloatImage, FloatImage, FloatImage]:
+        """One channel: A with weights from B, B with weights from A, and both, filtered again."""
+        a, b = halves
+        if np.array_equal(a, b):  # no halves of this feature: filtered with its own weights
+            alone = self._nlm(a, a, variance, _FEATURE_RADIUS)
+            return alone, alone, alone
+        a, b = (
+            self._nlm(own, other, 2 * variance, _FEATURE_RADIUS) for own, other in ((a, b), (b, a))
+        )
+        both = np.asarray((a + b) / 2, np.float32)
+        apart = np.asarray((b - a) ** 2 / 4, np.float32)
+        return a, b, self._nlm(both, both, apart, _FEATURE_AGAIN)
+
+    def _nlm(
+        self, image: FloatImage, guide: FloatImage, variance: FloatImage, radius: int
+    ) -> FloatImage:
+        numbers = (_FEATURE_K**2, 1.0, _EPSILON)
+        search = PatchSearch.of(
+            guide, variance, radius, _FEATURE_PATCH, numbers=numbers, device=self.device
+        )
+        return nlm_mean(image, search)
+
+    def _half_features(self, frame: Frame, stat: Stat) -> Features:
+        """The features with those of one half where the frame has both halves."""
+        for role in Role:
+            if not INFO[role].guide or not frame.has(role):
+                continue
+            if frame.has(role, Stat.HALF_A) and frame.has(role, Stat.HALF_B):
+                mean = frame.layer(role)
+                assert mean is not None
+                frame = frame.with_layer(mean.with_data(frame[role, stat]))
+        return features(frame, scales=self._scales)
+
+    def _without_halves(self) -> NFORTuned:
+        return NFORTuned(device=self.device, _scales=self._scales, _noisy=self._noisy)
 
 
 # ------------------------------------------------------------------ estimates
 
 
-def spatial_variance(image: FloatImage) -> FloatImage:
-    """The noise of an image ``(H, W, C)`` without samples: Immerkær's mask, over 7x7 pixels.
+def estimated_error(
+    fit_a: FloatImage,
+    fit_b: FloatImage,
+    half_a: FloatImage,
+    half_b: FloatImage,
+    variance: FloatImage,
+) -> FloatImage:
+    """The squared error of ½(fit_a + fit_b), a channel and pixel (5.3); noisy, may be negative.
 
-    The mask [1 −2 1; −2 4 −2; 1 −2 1] is blind to constants, ramps and straight edges along the
-    axes; on noise of variance σ² its square has the mean 36 σ².
+    ``fit_a`` is what became of half A. A half's own variance is twice that of the mean,
+    ``variance``; what the two fits differ by would be averaged away.
     """
-    pad = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    rows = pad[:-2] - 2 * pad[1:-1] + pad[2:]
-    second = rows[:, :-2] - 2 * rows[:, 1:-1] + rows[:, 2:]
-    return box_mean(second**2 / 36, _SMOOTH)
+    apart_a = (half_b - fit_a) ** 2 - 2 * variance
+    apart_b = (half_a - fit_b) ** 2 - 2 * variance
+    return np.asarray((apart_a + apart_b) / 2 - (fit_b - fit_a) ** 2 / 4, np.float32)
 
 
-def box_mean(image: FloatImage, radius: int) -> FloatImage:
-    """Mean over ``2·radius + 1`` pixels a side, edge pixels repeated. ``(H, W, C)``."""
-    for axis in (0, 1):
-        width = [(radius, radius) if i == axis else (0, 0) for i in range(3)]
-        pad = np.pad(image, width, mode="edge")
-        size = image.shape[axis]
-        total = np.zeros_like(image)
-        for shift in range(2 * radius + 1):
-            total += pad[shift : shift + size] if axis == 0 else pad[:, shift : shift + size]
-        image = total / np.float32(2 * radius + 1)
-    return image
+def _crossed(frame: Frame) -> bool:
+    return frame.has(Role.COLOUR, Stat.HALF_A) and frame.has(Role.COLOUR, Stat.HALF_B)
 
 
-def limit(plane: FloatImage, mean: FloatImage) -> FloatImage:
-    """``(H, W, 1)`` in [0, 1]: how far to go from the mean to the plane, both ``(H, W, 3)``.
-
-    As far as every channel stays between 0 and twice its mean. A plane through a firefly is steep:
-    beside it, it falls below zero and rises to many times what is there.
-    """
-    apart = np.abs(plane - mean)
-    room = np.maximum(mean, 0)
-    share = np.where(apart > room, room / np.where(apart > room, apart, 1), 1)
-    least: FloatImage = share.min(axis=2, keepdims=True)
-    return least
-
-
-def _chosen(found: list[FloatImage], errors: list[FloatImage], mean: FloatImage) -> FloatImage:
-    """Of two candidates the one with the smaller error, pixel by pixel (5.3)."""
-    # Relative errors: one bright pixel does not decide for all around it.
-    scale = 1 / (_grey(mean) ** 2 + _DARK)
-    narrow, wide = (
-        box_mean(e.mean(axis=2, keepdims=True, dtype=np.float32) * scale, _SMOOTH) for e in errors
+def _halves(frame: Frame) -> tuple[FloatImage, FloatImage]:
+    shape = frame.colour.shape
+    a, b = (
+        finite(np.array(np.broadcast_to(frame[Role.COLOUR, stat], shape)))
+        for stat in (Stat.HALF_A, Stat.HALF_B)
     )
-    share = box_mean((wide < narrow).astype(np.float32), _CHOICE_SMOOTH)
-    return _single_precision(found[0] + share * (found[1] - found[0]))
+    return a, b
 
 
-def _grey(image: FloatImage) -> FloatImage:
-    return image.mean(axis=2, keepdims=True, dtype=np.float32)
+def _shares(frame: Frame) -> list[FloatImage]:
+    """A and B over the beauty, ``(H, W, 3)`` within ±4: how a pixel is divided; 1 in the dark."""
+    colour = finite(frame.colour)
+    lit = colour > 0
+    return [
+        np.where(lit, np.clip(half / np.where(lit, colour, 1), -4, 4), 1).astype(np.float32)
+        for half in _halves(frame)
+    ]
 
 
-def _signs(image: FloatImage) -> FloatImage:
-    """``(H, W, 1)`` of ±1, from the bits of the pixels: the same in a tile as in the whole."""
-    bits = np.ascontiguousarray(image, np.float32).view(np.uint32)
-    mixed = np.zeros(bits.shape[:2], np.uint32)
-    for channel in range(bits.shape[2]):
-        mixed = (mixed ^ bits[:, :, channel]) * np.uint32(0x9E3779B1)
-        mixed ^= mixed >> np.uint32(15)
-    mixed *= np.uint32(0x85EBCA77)
-    mixed ^= mixed >> np.uint32(13)
-    return np.where(mixed & np.uint32(1), np.float32(1), np.float32(-1))[:, :, None]
-
-
-def _noisy(seen: Features) -> tuple[str, ...]:
-    """Roles of features whose variance is worth filtering: a standard deviation above 1/1000."""
-    if seen.variance is None:
-        return ()
-    names = [n.partition(".")[0] for n in seen.names]
-    worth = seen.variance.mean(axis=(0, 1), dtype=np.float64) > 1e-6
-    return tuple(dict.fromkeys(n for n, w in zip(names, worth, strict=True) if w))
-
-
-def _single_precision(image: NDArray[Any]) -> FloatImage:
-    return image.astype(np.float32, copy=False)
-
-
-def _finite(image: FloatImage) -> FloatImage:
-    """The image with 0 where it is not finite (files are repaired, and counted, before)."""
-    return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32, copy=False)
+def _by_channel(share: FloatImage, channels: list[int]) -> FloatImage:
+    """The share ``(H, W, 3)`` spread over channels; −1 is the mean of the three."""
+    every = np.concatenate([share, share.mean(axis=2, keepdims=True)], axis=2)
+    return every[:, :, [3 if c < 0 else c for c in channels]]

@@ -17,22 +17,17 @@ where F² is the filtered square of the colour. SURE is noisy itself, so that it
 with (1) at σ_s = 8 before the scale of least error is taken, pixel by pixel. Each result is a
 weighted average with weights from the frame: all targets are filtered with them.
 
-Where we depart:
+`SUREFilter` is the paper's form. Its text was not at hand; the numbers are those of the authors'
+own code as others keep it (σ of normals 0.8, albedo 0.25, depth 0.6; σ_ik² + σ_jk² at least 0.01;
+the map of SURE filtered at σ_s = 8, averaged over the channels; windows of 2σ_s; the term with σ_r
+left out, since it made results noisy) and, for the bank of σ_s = 1, 2, 4, 8, those of an
+independent implementation. ``sigma_colour`` turns σ_r on (in units of radiance at the automatic
+exposure). What differs:
+
+- Depth is compared as its logarithm over the median; the authors divide it by its maximum.
 - The paper's other half, placing more samples where SURE is large, cannot be done to a finished
   frame.
-- The term with σ_r is off by default, which leaves 1/Σw in (4): with 4 to 64 spp the colour's noise
-  decides over it. ``sigma_colour`` turns it on (in units of radiance at the automatic exposure).
-- SURE is compared in units of the exposed colour, F²+ε apart, before its map is filtered: else one
-  firefly decides for everything around it.
-- *By variance* (``by_variance``): w_ij is multiplied by min(1, u_i/u_j), where u is the variance of
-  the colour over channels and 3x3 pixels. (1) knows features alone, so that at every scale a
-  firefly is spread over its window and no choice of scale helps: on veach-mis at 16 spp relMSE is
-  0.068, and 0.060 with the best scale at every pixel. By variance 0.0056. Geometric means over five
-  scenes at 16 spp, all pixels / without the worst 0.1 %: 0.0306 / 0.0087 without,
-  0.0150 / 0.0060 with it. Fireflies lose energy: the mean radiance of veach-bidir at 16 spp falls
-  by 10 %, of veach-mis by 2 %. Σw holds the pixel itself with 1 as before, which is what (4) needs.
-- σ_ik² is never below ``floor``; it alone counts where a feature tells no variance. Frames tell the
-  variance of means; times spp it is that of samples (times 1 where spp is unknown).
+- Frames tell the variance of means; times spp it is that of samples (times 1 where spp is unknown).
 """
 
 from __future__ import annotations
@@ -64,7 +59,10 @@ class SUREFilter(Denoiser):
     """Cross-bilateral filters of several sizes, the best one chosen per pixel by SURE.
 
     ``scales``: σ_s of the bank, from ``smallest`` doubling up to ``largest`` pixels. ``selection``:
-    σ_s with which the SURE map is filtered. σ of features in units of their own deviation (2).
+    σ_s with which the SURE map is filtered. σ of features in units of their own deviation (2),
+    whose square is at least ``floor``. ``relative``: whether errors are compared relative to the
+    radiance; ``by_variance``: whether what is noisier than the pixel weighs less (both not in the
+    paper, see `lambent.filters.sbf_tuned`).
     """
 
     smallest: float = 1.0
@@ -76,8 +74,9 @@ class SUREFilter(Denoiser):
     sigma_position: float = 0.6
     sigma_roughness: float = 0.25
     sigma_colour: float | None = None
-    floor: float = 0.02
-    by_variance: bool = True
+    floor: float = 0.01
+    relative: bool = False
+    by_variance: bool = False
     device: Device = "auto"
     _scales: Scales | None = None
     _exposure: float | None = None
@@ -96,13 +95,15 @@ class SUREFilter(Denoiser):
             "depth.variance",
         ),
         cost="windows of 5, 9, 17 and 33 pixels a side, and one of 33 for the choice",
-        when="with variance and features; keeps shadows that cross-bilateral washes out",
+        when="the paper's form, for comparison; for work sbf-tuned",
     )
 
     def __post_init__(self) -> None:
+        if not self.floor > 0:
+            raise OptionError("'floor' is a variance above 0", remedy="the paper's code has 0.01")
         if not (0 < self.smallest <= self.largest):
             raise OptionError(
-                f"'sbf' cannot have scales from {self.smallest} to {self.largest}",
+                f"'{self.about.name}' cannot have scales from {self.smallest} to {self.largest}",
                 remedy="give 0 < smallest <= largest",
             )
 
@@ -143,7 +144,7 @@ class SUREFilter(Denoiser):
     def sure(
         self, frame: Frame, mean: FloatImage, square: FloatImage, total: FloatImage
     ) -> FloatImage:
-        """Equations 3 and 4, summed over the channels, relative to the filtered colour: (H, W).
+        """Equations 3 and 4, exposed and summed over the channels[, relative to the mean]: (H, W).
 
         ``mean`` ``(H, W, 3)``: the filtered colour, ``square``: the filtered squares, ``total``
         ``(H, W)``: Σw. Negative where luck has it; zero on average where the filter is perfect.
@@ -157,8 +158,10 @@ class SUREFilter(Denoiser):
         if self.sigma_colour is not None:
             slope = slope + (square - mean**2) * np.float32((exposure / self.sigma_colour) ** 2)
         risk = (mean - colour) ** 2 + 2 * variance * slope - variance
-        level = (mean**2).mean(axis=2) * np.float32(exposure**2) + np.float32(DARK)
-        return np.asarray(risk.sum(axis=2) * np.float32(exposure**2) / level, np.float32)
+        total = risk.sum(axis=2) * np.float32(exposure**2)
+        if self.relative:
+            total /= (mean**2).mean(axis=2) * np.float32(exposure**2) + np.float32(DARK)
+        return np.asarray(total, np.float32)
 
     def choose(self, errors: list[FloatImage], guide: FloatImage) -> NDArray[np.intp]:
         """Index into the bank ``(H, W)``: the least error after filtering the maps of errors."""
@@ -173,7 +176,7 @@ class SUREFilter(Denoiser):
         return np.asarray(np.argmin(np.nan_to_num(stack, nan=np.inf), axis=2))
 
     def guide(self, frame: Frame) -> FloatImage:
-        """Features divided by √2·σ_k, then [exposed colour by √2·σ_r,] then variances of (2).
+        """Features over σ_k·√(2·floor), [exposed colour over √2·σ_r,] variances over the floor.
 
         The variance that stands for the colour is 1/2: |c_i − c_j|² is divided by 1. By variance
         the noise level is one more plane at the end: an odd number.
@@ -189,10 +192,11 @@ class SUREFilter(Denoiser):
             "roughness": self.sigma_roughness,
             "miss": 0.25,
         }
-        scale = [1 / (math.sqrt(2) * sigmas[n.partition(".")[0]]) for n in found.names]
+        # Over the floor, so that the least σ_i² + σ_j² is 1.
+        scale = [1 / math.sqrt(2 * self.floor) / sigmas[n.partition(".")[0]] for n in found.names]
         stack = found.stack * np.array(scale, np.float32)
         spread = np.zeros_like(stack) if found.variance is None else found.variance
-        spread = np.maximum(spread * np.float32(frame.spp or 1), np.float32(self.floor))
+        spread = spread * np.float32((frame.spp or 1) / self.floor)
         if self.sigma_colour is not None:
             factor = np.float32(self._exposed(frame) / (math.sqrt(2) * self.sigma_colour))
             stack = np.concatenate([stack, frame.colour * factor], axis=2)
@@ -253,21 +257,20 @@ def _without_colour(guide: FloatImage) -> FloatImage:
 
 
 def _weight(p: list[Any], q: list[Any], k: list[Any], s: Any) -> Any:
-    """exp(s − Σ (f_p − f_q)²/(v_p + v_q)) [times min(1, u_p/u_q)].
+    """exp(s − Σ (f_p − f_q)²/max(1, v_p + v_q)) [times min(1, u_p/u_q)].
 
     The guide holds features, then as many variances[, then the noise level u].
     """
     import drjit as dr
 
     from lambent.kernels.exponential import exp_weight
-    from lambent.kernels.extremes import smaller
+    from lambent.kernels.extremes import greater, smaller
 
     count = len(p) // 2
     exponent = s
     for f in range(count):
         step = p[f] - q[f]
-        # outside the image both may be 0: never 0/0
-        exponent -= step * step * dr.rcp(p[count + f] + q[count + f] + 1e-20)
+        exponent -= step * step * dr.rcp(greater(p[count + f] + q[count + f], 1.0))
     weight = exp_weight(exponent)
     if len(p) % 2:
         weight *= smaller(p[-1] * dr.rcp(q[-1] + 1e-20), type(p[-1])(1))

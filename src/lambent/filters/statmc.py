@@ -15,32 +15,8 @@ x = (c^λ − 1)/λ, λ = 1/2, and the mean is corrected for their skewness: m +
 Test, transform, correction and feature widths are the authors' (checked against their public
 implementation): σ = 0.1 for normals, 0.02 for albedo, α = 0.005, ν = 2n − 2 degrees of freedom.
 
-The rule minimises the *sum* of the squared errors of a pair. Beside a highlight that lowers a
-bright pixel's large error and raises a dark one's small error: at few samples a pixel that caught
-light once has so large a variance that the test joins it with everything, black included, in
-the whole disc. relMSE without the worst 0.1 % of pixels, with the paper's rule, on veach-mis at
-4, 16 and 64 spp: 3.5, 0.51, 0.0060 (the noisy frames 0.059, 0.017, 0.0044). Hence
-``by_variance``, below. Geometric means over five scenes (cornell-box, living-room, still-life,
-veach-bidir, veach-mis; 300 to 448 rows), all pixels / without the worst 0.1 %:
+`StatMC` is the paper's form: radius 20, σ = 10, the test alone. What differs:
 
-======================  ================  ================  ================
-..                      4 spp             16 spp            64 spp
-======================  ================  ================  ================
-noisy                   0.912 / 0.469     0.292 / 0.146     0.121 / 0.0414
-the paper's rule        0.198 / 0.112     0.0683 / 0.0459   0.0241 / 0.0113
-by variance             0.0457 / 0.0242   0.0152 / 0.0098   0.0096 / 0.0042
-and radius 10, σ 5      0.0509 / 0.0228   0.0142 / 0.0077   0.0097 / 0.0030
-======================  ================  ================  ================
-
-Where we depart:
-
-- *By variance* (``by_variance``): member j counts min(1, u_i/u_j) in the mean of pixel i, where u
-  is the variance of the colour, over channels and 3x3 pixels: what is noisier than the pixel
-  weighs as in the best mean of unequal variances; what is calmer, as in the paper. The weights are
-  symmetric no longer and fireflies lose energy: at 16 spp the mean radiance of veach-bidir falls by
-  10 %, of veach-mis by 3 % (the paper's rule: 0 and 1 %). Layers still sum.
-- *Radius 10 and σ 5* instead of 20 and 10, a quarter of the work: the paper's widths are for
-  pictures of twice the size, and smear gradients. Scale both with the picture.
 - *Without Box-Cox layers* the test looks at the radiance, with its variance.
 - *The disc's last row and column* are in our window; the public kernel leaves them out.
 - *The number of samples* is `Frame.spp`; where unknown, the normal distribution stands for
@@ -75,16 +51,16 @@ class StatMC(Denoiser):
     ``radius`` and ``sigma`` in pixels; ``alpha``: level of the two-sided test (smaller joins more
     pixels); ``normal_sigma``, ``albedo_sigma``: widths in feature space; ``boxcox``: whether
     Box-Cox layers are used where the frame has them; ``by_variance``: whether members noisier than
-    the pixel weigh less. The paper: ``radius=20, sigma=10, by_variance=False``.
+    the pixel weigh less (`lambent.filters.statmc_tuned`; not in the paper).
     """
 
-    radius: int = 10
-    sigma: float = 5.0
+    radius: int = 20
+    sigma: float = 10.0
     alpha: float = 0.005
     normal_sigma: float = 0.1
     albedo_sigma: float = 0.02
     boxcox: bool = True
-    by_variance: bool = True
+    by_variance: bool = False
     device: Device = "auto"
 
     about: ClassVar[About] = About(
@@ -93,8 +69,8 @@ class StatMC(Denoiser):
         paper="Sakai, Freude, Auzinger, Hahn and Wimmer, SIGGRAPH Asia 2024",
         needs=("colour", "colour.variance|colour.half_a"),
         uses=("albedo", "normal"),
-        cost="316 taps a pixel, each a test of three channels",
-        when="the renderer writes variances and the samples a pixel; from 16 spp on",
+        cost="1256 taps a pixel, each a test of three channels",
+        when="the paper's form, for comparison; from 64 spp on and without fireflies",
     )
 
     def __post_init__(self) -> None:
@@ -111,14 +87,15 @@ class StatMC(Denoiser):
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
         """What is assumed because the frame does not tell it."""
+        name = self.about.name
         notes = []
         if not frame.has(Role.COLOUR, Stat.VARIANCE):
             notes.append(
-                "statmc: the variance is estimated from two half buffers, over 5x5 pixels."
+                f"{name}: the variance is estimated from two half buffers, over 5x5 pixels."
             )
         if frame.spp is None:
             notes.append(
-                "statmc: the samples a pixel are unknown; the test takes the normal distribution."
+                f"{name}: the samples a pixel are unknown; the test takes the normal distribution."
             )
         return tuple(notes)
 
@@ -138,7 +115,8 @@ class StatMC(Denoiser):
         variance = variance_of(frame, Role.COLOUR)
         if variance is None:
             raise LayerError(
-                "the model 'statmc' needs colour.variance, or both colour.half_a and colour.half_b",
+                f"the model '{self.about.name}' needs colour.variance, "
+                "or both colour.half_a and colour.half_b",
                 file=frame.path,
                 remedy="let the renderer write a variance pass, or take the model nfor",
             )

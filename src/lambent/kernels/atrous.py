@@ -36,6 +36,9 @@ from lambent.kernels.window import keep_untouched
 #: The cubic B-spline.
 SPLINE = (1 / 16, 1 / 4, 3 / 8, 1 / 4, 1 / 16)
 
+#: Of one level: the factor on squared differences of the guide, and that or those of the features.
+Factors = tuple[float, float | Sequence[float]]
+
 #: Target channels in one kernel.
 _CHANNELS = 8
 
@@ -49,7 +52,7 @@ def atrous(
     targets: NDArray[Any],
     guide: NDArray[Any],
     features: NDArray[Any] | None,
-    scales: Sequence[tuple[float, float]],
+    scales: Sequence[Factors],
     noise: NDArray[Any] | None = None,
     device: str = "auto",
 ) -> FloatImage:
@@ -57,7 +60,8 @@ def atrous(
 
     ``guide`` ``(H, W, G)`` is filtered along; ``features`` ``(H, W, F)`` stay (None: none),
     with their variance ``noise`` (None: exact).
-    ``scales``: the factors on the squared differences of guide and of features on that level.
+    ``scales``: the factors on the squared differences of guide and of features on that level; of
+    the features one for all, or one each.
     Pixels that are not finite take no part. Returns float32 ``(H, W, C)``.
     """
     wavelet = _Wavelet.of(guide, features, noise, len(scales), targets, device)
@@ -80,7 +84,7 @@ def atrous(
 def atrous_row(
     guide: NDArray[Any],
     features: NDArray[Any] | None,
-    scales: Sequence[tuple[float, float]],
+    scales: Sequence[Factors],
     x: int,
     y: int,
     noise: NDArray[Any] | None = None,
@@ -147,7 +151,7 @@ class _Wavelet:
         return cls(layout, module, fixed, unsure, valid, mask, guide.shape[2])
 
     def level(
-        self, state: Planes, channels: Sequence[int], level: int, factors: tuple[float, float]
+        self, state: Planes, channels: Sequence[int], level: int, factors: Factors
     ) -> list[Any]:
         """The weighted means of some channels; a pixel without weights keeps its value."""
         import drjit as dr
@@ -165,13 +169,15 @@ class _Wavelet:
         state: Planes,
         channels: Sequence[int],
         level: int,
-        factors: tuple[float, float],
+        factors: Factors,
         mask: Planes,
     ) -> list[Any]:
         """Σ w·c of some channels of the state (guide first), and Σ w. Evaluated."""
         import drjit as dr
 
-        soft, hard = constants(factors, self.module)
+        (soft,) = constants(factors[:1], self.module)
+        each = factors[1] if isinstance(factors[1], Sequence) else [factors[1]]
+        hard = constants(each, self.module)
         step = 2**level
         guide = [state.view(c) for c in range(self.channels)]
         fixed = [] if self.features is None else self.features.views()
@@ -187,7 +193,13 @@ class _Wavelet:
                     if self.features is not None:
                         vq = [] if self.noise is None else self.noise.views(dx, dy)
                         unsure = [a + b for a, b in zip(vp, vq, strict=True)]
-                        apart += hard * _squares(fixed, self.features.views(dx, dy), unsure)
+                        there = self.features.views(dx, dy)
+                        if len(hard) == 1:
+                            apart += hard[0] * _squares(fixed, there, unsure)
+                        else:
+                            for f, factor in enumerate(hard):
+                                part = slice(f, f + 1)
+                                apart += factor * _squares(fixed[part], there[part], unsure[part])
                     w *= exp_weight(-apart)
                 for k, channel in enumerate(channels):
                     sums[k] = dr.fma(w, state.view(channel, dx, dy), sums[k])
