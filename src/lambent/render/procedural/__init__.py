@@ -1,0 +1,71 @@
+"""Random Mitsuba scenes to learn from: rooms, still lifes, landscapes, halls, studios.
+
+`random_scene` makes a `ScenePlan`, which is plain data, from a seed; the same seed gives the same
+plan on every machine. `ScenePlan.build` makes the Mitsuba scene. All scenes share a fixed palette
+of plug-in structures (`palette`), so that one compiled kernel renders them all.
+
+::
+
+    from lambent.render.procedural import random_scene
+    from lambent.render.variant import mitsuba
+
+    mi = mitsuba()
+    plan = random_scene(7, kind="room")
+    image = mi.render(plan.build(mi, camera=0, size=(256, 256)), spp=64)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from lambent.errors import OptionError, UnknownNameError
+
+if TYPE_CHECKING:
+    from lambent.render.procedural.plan import CameraPlan, ScenePlan
+    from lambent.render.procedural.stage import Stage
+
+#: Kinds of scenes, and how often each comes up.
+_SHARES = {"room": 0.36, "still_life": 0.24, "open": 0.18, "hall": 0.12, "studio": 0.1}
+
+#: The names of the kinds.
+KINDS: tuple[str, ...] = tuple(_SHARES)
+
+__all__ = ["KINDS", "random_scene"]
+
+
+def _maker(kind: str) -> Callable[[Stage], list[CameraPlan]]:
+    from lambent.render.procedural.hall import hall
+    from lambent.render.procedural.landscape import landscape
+    from lambent.render.procedural.room import room
+    from lambent.render.procedural.still_life import still_life
+    from lambent.render.procedural.studio import studio
+
+    makers = {"room": room, "still_life": still_life, "open": landscape, "hall": hall, "studio": studio}
+    return makers[kind]
+
+
+def random_scene(seed: int, kind: str | None = None) -> ScenePlan:
+    """The scene of a seed (0 or more), of a ``kind`` of `KINDS` or of any.
+
+    Raises `UnknownNameError` for another kind, `OptionError` for a negative seed.
+    """
+    import numpy as np
+
+    from lambent.render.procedural.materials import Wardrobe
+    from lambent.render.procedural.noise import generator
+    from lambent.render.procedural.stage import Stage
+
+    if kind is not None and kind not in _SHARES:
+        raise UnknownNameError("kind of scene", kind, KINDS)
+    if seed < 0:
+        raise OptionError(f"a scene's seed is {seed}", remedy="take 0 or more")
+    if kind is None:
+        kind = str(generator(seed, 0).choice(KINDS, p=np.array(list(_SHARES.values()))))
+    for attempt in range(20):  # a composition without four good views is put up anew
+        key = (KINDS.index(kind) + 1, attempt)
+        stage = Stage(generator(seed, 1, *key), Wardrobe(generator(seed, 2, *key)))
+        cameras = _maker(kind)(stage)
+        if len(cameras) >= 4:
+            return stage.finish(kind, seed, cameras)
+    raise AssertionError(f"no view of scene {seed} ({kind}) is good")
