@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.frame.layer import FloatImage
+from lambent.kernels.extremes import greater, smaller
 from lambent.startup import engine
 
 
@@ -43,12 +44,16 @@ def warp(
     x, y = ad.Float(column) + step[0], ad.Float(row) + step[1]
     # A place up to half a pixel beyond the outermost centres still lies in the image.
     inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
-    x = dr.clip(dr.select(inside, x, 0), 0, width - 1)
-    y = dr.clip(dr.select(inside, y, 0), 0, height - 1)
-    left = dr.minimum(ad.Int32(dr.floor(x)), max(width - 2, 0))
-    top = dr.minimum(ad.Int32(dr.floor(y)), max(height - 2, 0))
+    x, y = (
+        smaller(greater(dr.select(inside, v, 0), ad.Float(0)), ad.Float(size - 1))
+        for v, size in ((x, width), (y, height))
+    )
+    left, top = (
+        smaller(ad.Int32(dr.floor(v)), ad.Int32(max(size - 2, 0)))
+        for v, size in ((x, width), (y, height))
+    )
     fx, fy = x - ad.Float(left), y - ad.Float(top)
-    right, bottom = dr.minimum(left + 1, width - 1), dr.minimum(top + 1, height - 1)
+    right, bottom = smaller(left + 1, ad.Int32(width - 1)), smaller(top + 1, ad.Int32(height - 1))
     planes = []
     for c in range(channels):
         plane = ad.Float(np.ascontiguousarray(image[:, :, c], np.float32).ravel())

@@ -69,7 +69,10 @@ FIRST = (
 #: Motion to the previous frame, in pixels; written by the sampler, since it knows the camera.
 MOTION = Group("motion", Role.MOTION, 2, lambda b: b.motion)
 
-GROUPS = (*LIGHT, *FEATURES, *FIRST, MOTION)
+#: Distance that the point of the first hit had from the previous camera.
+PREVIOUS_DEPTH = Group("previous_depth", Role.OTHER, 1, lambda b: [b.previous_depth])
+
+GROUPS = (*LIGHT, *FEATURES, *FIRST, MOTION, PREVIOUS_DEPTH)
 
 
 def light_group(number: int, name: str) -> Group:

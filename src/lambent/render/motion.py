@@ -34,6 +34,8 @@ class Motion:
 
     now: Any
     previous: Any
+    #: Where the previous camera stood (`Point3f`).
+    stood: Any
     moved: Any = None
 
 
@@ -81,12 +83,17 @@ def moved_table(scene: Any, moves: Mapping[str, NDArray[Any]]) -> Any:
 
 
 def motion_between(
-    scene: Any, now: NDArray[Any], previous: NDArray[Any], moves: Mapping[str, NDArray[Any]]
+    scene: Any,
+    now: NDArray[Any],
+    previous: NDArray[Any],
+    stood: NDArray[Any],
+    moves: Mapping[str, NDArray[Any]],
 ) -> Motion:
-    """`Motion` from two projections (see `projection`) and what moved."""
+    """`Motion` from two projections (see `projection`), the previous camera's place, what moved."""
     return Motion(
         _opaque(now),
         _opaque(previous),
+        dr.opaque(mi.Float, 0) + mi.Point3f(np.asarray(stood, np.float32)),
         moved_table(scene, moves),
     )
 
@@ -98,8 +105,12 @@ def _opaque(matrix: NDArray[Any]) -> Any:
     return made
 
 
-def pixel_motion(motion: Motion, books: Any, ray: Any, size: Any) -> Any:
-    """Motion of one sample in pixels, from the first hit in its books. (`Vector2f`)."""
+def pixel_motion(motion: Motion, books: Any, ray: Any, size: Any) -> tuple[Any, Any]:
+    """Motion of one sample in pixels (`Vector2f`), from the first hit in its books.
+
+    Beside it how far from the previous camera the point was (`Float`; 0 where nothing is hit):
+    what the previous picture shows there, if it shows the same point, has that depth.
+    """
     hit = books.first_depth > 0
     here = dr.select(hit, books.first_position, ray.o + ray.d * _FAR)
     there = mi.Point3f(here)
@@ -114,7 +125,8 @@ def pixel_motion(motion: Motion, books: Any, ray: Any, size: Any) -> Any:
         ]
         there = dr.select(hit, mi.Point3f(*moved), there)
     step = _project(motion.previous, there) - _project(motion.now, here)
-    return mi.Vector2f(step.x * size.x, step.y * size.y)
+    depth = dr.select(hit, dr.norm(there - motion.stood), 0)
+    return mi.Vector2f(step.x * size.x, step.y * size.y), depth
 
 
 def _project(matrix: Any, point: Any) -> Any:

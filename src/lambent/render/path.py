@@ -29,6 +29,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lambent.kernels.extremes import greater, smaller
 from lambent.render.surface import Surface, describe
 
 
@@ -73,6 +74,9 @@ class Books:
     first_position: Any
     #: Registry index of the shape of the first hit, and its instance: what moved it is looked up.
     first_shape: Any
+    #: Entered by the sampler, which knows the camera (`lambent.render.motion`).
+    motion: Any = None
+    previous_depth: Any = None
 
 
 @dataclass
@@ -127,7 +131,17 @@ def trace(scene: Any, sampler: Any, ray: Any, options: PathOptions) -> tuple[Boo
 
     ``ray``: camera rays (`Ray3f`). Symbolic: to be called while a kernel is recorded.
     """
-    state = _State(
+    state = _start(sampler, ray, options)
+
+    def step(state: _State) -> tuple[_State]:
+        return (_vertex(scene, state, options),)
+
+    (state,) = dr.while_loop((state,), lambda s: s.active, step, label="vertices of a path")
+    return state.books, state.sampler
+
+
+def _start(sampler: Any, ray: Any, options: PathOptions) -> _State:
+    return _State(
         books=empty_books(options),
         ray=mi.Ray3f(ray),
         throughput=mi.Color3f(1),
@@ -143,12 +157,6 @@ def trace(scene: Any, sampler: Any, ray: Any, options: PathOptions) -> tuple[Boo
         before_delta=mi.Bool(True),
         sampler=sampler,
     )
-
-    def step(state: _State) -> tuple[_State]:
-        return (_vertex(scene, state, options),)
-
-    (state,) = dr.while_loop((state,), lambda s: s.active, step, label="vertices of a path")
-    return state.books, state.sampler
 
 
 def _vertex(scene: Any, s: _State, options: PathOptions) -> _State:
@@ -207,13 +215,39 @@ def _vertex(scene: Any, s: _State, options: PathOptions) -> _State:
     s.before_pdf = sampled.pdf
     s.before_delta = mi.has_flag(sampled.sampled_type, mi.BSDFFlags.Delta)
     s.depth = dr.select(valid, s.depth + 1, s.depth)
-    most = dr.max(s.throughput)
-    survival = dr.minimum(most * dr.square(s.eta), 0.95)
+    most = greater(greater(s.throughput.x, s.throughput.y), s.throughput.z)
+    survival = smaller(most * dr.square(s.eta), mi.Float(0.95))
     roulette = s.depth >= options.rr_depth
     lucky = s.sampler.next_1d() < survival
     s.throughput = dr.select(roulette, s.throughput * dr.rcp(survival), s.throughput)
     s.active &= goes_on & (~roulette | lucky) & (most != 0)
     return s
+
+
+def look_ahead(scene: Any, sampler: Any, ray: Any, options: PathOptions) -> tuple[Books, Any]:
+    """Features only: as far as the first rough vertex, without any light."""
+    state = _start(sampler, ray, options)
+
+    def step(s: _State) -> tuple[_State]:
+        si = scene.ray_intersect(s.ray, +mi.RayFlags.All, s.depth == 0)
+        bsdf = si.bsdf(s.ray)
+        looked_at = si.is_valid()
+        seen = _look(bsdf, si, looked_at, options)
+        rough = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        sampled, weight = bsdf.sample(
+            mi.BSDFContext(), si, s.sampler.next_1d(), s.sampler.next_2d()
+        )
+        passed = mi.has_flag(sampled.sampled_type, mi.BSDFFlags.Null)
+        s.length += dr.select(looked_at, si.t, 0)
+        _note_features(s, seen, si, looked_at & ~passed, options)
+        s.throughput *= weight
+        s.ray = si.spawn_ray(si.to_world(sampled.wo))
+        s.depth = s.depth + 1
+        s.active &= looked_at & (~rough | passed) & (s.depth < options.depth)
+        return (s,)
+
+    (state,) = dr.while_loop((state,), lambda s: s.active, step, label="way to a rough vertex")
+    return state.books, state.sampler
 
 
 # ------------------------------------------------------------------- the books
@@ -280,7 +314,11 @@ def _note_features(s: _State, seen: Surface, si: Any, here: Any, options: PathOp
             "first_normal": mi.Normal3f(normal),
             "first_depth": s.length,
             "first_position": si.p,
-            "first_shape": dr.reinterpret_array(mi.UInt32, si.shape),
+            "first_shape": dr.select(
+                si.instance != None,  # noqa: E711  (an array of pointers)
+                dr.reinterpret_array(mi.UInt32, si.instance),
+                dr.reinterpret_array(mi.UInt32, si.shape),
+            ),
         }
         for name, value in now.items():
             setattr(books, name, dr.select(at_first, value, getattr(books, name)))

@@ -22,7 +22,7 @@ import numpy as np
 
 from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
-from lambent.render.channels import COLOUR, MOTION, Group, chosen, light_group
+from lambent.render.channels import COLOUR, MOTION, PREVIOUS_DEPTH, Group, chosen, light_group
 from lambent.render.lights import group_table
 from lambent.render.moments import Moments
 from lambent.render.motion import Motion, pixel_motion
@@ -75,7 +75,7 @@ class FrameSampler:
         self.sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.integrator = integrator
         self.motion = motion
-        groups = [g for g in chosen(features) if g is not MOTION]
+        groups = [g for g in chosen(features) if g not in (MOTION, PREVIOUS_DEPTH)]
         self.left_out: tuple[str, ...] = ()
         if integrator is not None:
             self.left_out = tuple(g.name for g in groups if g.name in _NEEDS_OUR_PATH)
@@ -85,7 +85,7 @@ class FrameSampler:
         self.groups: tuple[Group, ...] = (
             COLOUR,
             *groups,
-            *([MOTION] if motion is not None else []),
+            *([MOTION, PREVIOUS_DEPTH] if motion is not None else []),
             *(light_group(n, name) for n, name in enumerate(names)),
         )
         kept = {g.name for g in self.groups}
@@ -100,6 +100,12 @@ class FrameSampler:
             groups=table,
             group_count=len(names),
         )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the film's crop window."""
+        width, height = self.sensor.film().crop_size()
+        return int(width), int(height)
 
     def sample(self, spp: int, seed: int = 0) -> Moments:
         """Trace ``spp`` samples in every pixel of the film's crop window.
@@ -174,7 +180,7 @@ class FrameSampler:
         else:
             books, sampler = self._wrapped(sampler, ray)
         if self.motion is not None:
-            books.motion = pixel_motion(self.motion, books, ray, size)  # type: ignore[attr-defined]
+            books.motion, books.previous_depth = pixel_motion(self.motion, books, ray, size)
         for light in ("colour", "diffuse", "direct", "emission"):
             setattr(books, light, getattr(books, light) * weight)
         books.groups = [g * weight for g in books.groups]
@@ -189,7 +195,7 @@ class FrameSampler:
 
         books, sampler = look_ahead(self.scene, sampler, ray, self.options)
         differential = mi.RayDifferential3f(ray)
-        medium = self.sensor.medium()
+        medium = self.sensor.get_medium() if hasattr(self.sensor, "get_medium") else None
         radiance, _, _ = self.integrator.sample(self.scene, sampler, differential, medium)
         books.colour = mi.Color3f(radiance)
         return books, sampler

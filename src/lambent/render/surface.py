@@ -22,6 +22,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lambent.kernels.extremes import greater, smaller
+
 
 @dataclass
 class Surface:
@@ -40,7 +42,7 @@ def describe(bsdf: Any, si: Any, active: Any) -> Surface:
     kind = bsdf.class_name()
     handler = _HANDLERS.get(kind)
     if handler is None:
-        diffuse = dr.clip(bsdf.eval_diffuse_reflectance(si, active), 0, 1)
+        diffuse = _unit(bsdf.eval_diffuse_reflectance(si, active))
         return Surface(_colour(diffuse), mi.Color3f(0), mi.Float(1))
     return handler(bsdf, _children(bsdf), si, active)
 
@@ -63,7 +65,7 @@ def _conductor(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfac
         specular[channel] = mi.fresnel_conductor(cosine, index)
     if tint is not None:
         specular *= _texture(tint, si, active)
-    return Surface(mi.Color3f(0), dr.clip(specular, 0, 1), _alpha(parts, si, active))
+    return Surface(mi.Color3f(0), _unit(specular), _alpha(parts, si, active))
 
 
 def _plastic(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -74,7 +76,7 @@ def _plastic(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
     if tint is not None:
         specular *= _texture(tint, si, active)
     diffuse = _texture(parts["diffuse_reflectance"], si, active)
-    return Surface(diffuse, dr.clip(specular, 0, 1), _alpha(parts, si, active))
+    return Surface(diffuse, _unit(specular), _alpha(parts, si, active))
 
 
 def _dielectric(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -84,7 +86,7 @@ def _dielectric(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfa
 def _principled(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
     base = _texture(parts["base_color"], si, active)
     metallic, through, rough = (
-        dr.clip(_texture_1(parts[name], si, active), 0, 1) if name in parts else mi.Float(0)
+        _unit(_texture_1(parts[name], si, active)) if name in parts else mi.Float(0)
         for name in ("metallic", "spec_trans", "roughness")
     )
     if "specular" in parts:
@@ -98,7 +100,7 @@ def _principled(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfa
     lost = (1 - metallic) * (1 - f0)
     diffuse = base * ((1 - metallic) * (1 - through))
     specular = reflected + dr.sqrt(base) * (lost * through)
-    return Surface(diffuse, dr.clip(specular, 0, 1), rough)
+    return Surface(diffuse, _unit(specular), rough)
 
 
 # ------------------------------------------------------------------ wrappers
@@ -120,7 +122,7 @@ def _nested(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
 
 def _blend(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
     first, second = (describe(parts[name], si, active) for name in ("bsdf_0", "bsdf_1"))
-    return _mixed(first, second, dr.clip(_texture_1(parts["weight"], si, active), 0, 1))
+    return _mixed(first, second, _unit(_texture_1(parts["weight"], si, active)))
 
 
 _HANDLERS = {
@@ -166,8 +168,13 @@ def _children(thing: Any) -> dict[str, Any]:
     return parts.found
 
 
+def _unit(value: Any) -> Any:
+    """Into [0, 1], without LLVM's fmaximum (see `lambent.kernels.extremes`)."""
+    return greater(smaller(value, type(value)(1)), type(value)(0))
+
+
 def _texture(part: Any, si: Any, active: Any) -> Any:
-    return dr.clip(_unbounded(part, si, active), 0, 1)
+    return _unit(_unbounded(part, si, active))
 
 
 def _unbounded(part: Any, si: Any, active: Any) -> Any:
@@ -180,10 +187,10 @@ def _texture_1(part: Any, si: Any, active: Any) -> Any:
 
 def _alpha(parts: dict[str, Any], si: Any, active: Any) -> Any:
     if "alpha" in parts:
-        return dr.sqrt(dr.clip(_texture_1(parts["alpha"], si, active), 0, 1))
+        return dr.sqrt(_unit(_texture_1(parts["alpha"], si, active)))
     if "alpha_u" in parts:
         u, v = (_texture_1(parts[name], si, active) for name in ("alpha_u", "alpha_v"))
-        return dr.sqrt(dr.clip((u + v) / 2, 0, 1))
+        return dr.sqrt(_unit((u + v) / 2))
     return mi.Float(0)
 
 

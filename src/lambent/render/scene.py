@@ -1,0 +1,238 @@
+"""Mitsuba scenes from files and dictionaries, with errors that say what to mend.
+
+A scene's own film filter is not used: Lambent's frames are box filtered, each sample counts for its
+own pixel only, since splatted noise is correlated and no denoiser removes it well. `load` says so
+in a note where the scene asks for another filter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lambent.errors import DamagedFileError, FileError, LambentError, OptionError, UnknownNameError
+from lambent.render.variant import mitsuba
+
+#: Integrators whose radiance our own paths compute, or which the plug-in is.
+OWN_PATHS = ("PathIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "LambentFrames")
+#: Those for scenes with participating media.
+VOLUMETRIC = ("VolumetricPathIntegrator", "VolumetricMisPathIntegrator", "PRBVolpathIntegrator")
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScene:
+    """A Mitsuba scene with the sensor to render; ``digest`` tells it from other scenes.
+
+    ``depth``, ``rr_depth``: what the scene's own integrator asks for, or None. ``notes``: what a
+    person should know, a sentence each.
+    """
+
+    scene: Any
+    sensor: Any
+    digest: str
+    path: Path | None = None
+    depth: int | None = None
+    rr_depth: int | None = None
+    notes: tuple[str, ...] = ()
+
+
+def load(
+    source: Any,
+    *,
+    size: tuple[int, int] | None = None,
+    camera: str | int | None = None,
+    device: str = "auto",
+    parameters: Mapping[str, Any] | None = None,
+) -> LoadedScene:
+    """A scene from an XML file, a Mitsuba dictionary, or a scene object.
+
+    ``size``: width and height instead of the film's. ``camera``: number or id of the sensor.
+    ``parameters``: values for the scene's ``$names``. Raises `FileError` (missing scene, mesh or
+    texture), `DamagedFileError` (no such plug-in, broken XML), `OptionError` (no camera, no light),
+    `UnknownNameError` (no such camera).
+    """
+    mi = mitsuba(device)
+    path = None
+    if isinstance(source, (str, os.PathLike)):
+        path = Path(source)
+        scene = _from_file(mi, path, parameters or {})
+        digest = _digest_of_file(path, parameters or {})
+    elif isinstance(source, Mapping):
+        try:
+            scene = mi.load_dict(dict(source))
+        except Exception as error:
+            raise _told(error, "the scene") from error
+        digest = hashlib.sha256(repr(sorted(source)).encode() + str(scene).encode()).hexdigest()
+    else:
+        scene = source
+        digest = hashlib.sha256(str(scene).encode()).hexdigest()
+    where = path or "the scene"
+    if not scene.emitters():
+        raise OptionError(
+            "the scene has no emitter: every picture of it is black",
+            file=where,
+            remedy='add a light, for example <emitter type="constant"/>',
+        )
+    sensor = _chosen_sensor(scene, camera, where)
+    if size is not None:
+        _resize(mi, sensor, size)
+    return LoadedScene(scene, sensor, digest[:16], path, *_depths(scene), _notes(scene, sensor))
+
+
+def film_size(sensor: Any) -> tuple[int, int]:
+    """Width and height of what a sensor renders (its crop window)."""
+    width, height = sensor.film().crop_size()
+    return int(width), int(height)
+
+
+# ------------------------------------------------------------------- private
+
+
+def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
+    if not path.exists():
+        raise FileError("does not exist", file=path, remedy="check the path")
+    if path.is_dir():
+        raise FileError("is a folder", file=path, remedy=f"name the scene: {path / 'scene.xml'}")
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4096).lstrip()
+    except OSError as error:
+        raise FileError(f"cannot be read: {error.strerror}", file=path) from error
+    if not start.startswith((b"<", b"\xef\xbb\xbf<")):
+        raise FileError(
+            "is no Mitsuba scene (XML)",
+            file=path,
+            remedy="Lambent renders Mitsuba's .xml and Blender's .blend",
+        )
+    texts = {k: str(v) for k, v in parameters.items()}
+    try:
+        scene = mi.load_file(str(path), **texts)
+    except Exception as error:
+        raise _told(error, path) from error
+    if not isinstance(scene, mi.Scene):
+        raise DamagedFileError("holds no <scene>", file=path, remedy="its root must be a <scene>")
+    return scene
+
+
+def _told(error: Exception, where: object) -> LambentError:
+    """Mitsuba's complaint in our form: what is missing, where, and the remedy."""
+    text = re.sub(r"\[\w+\.cpp:\d+\]\s*", "", str(error)).strip()
+    text = re.sub(r"\s+", " ", text)
+    lost = re.search(r'"([^"]+)"[^"]*(?:file not found|No such file|does not exist)', text)
+    if lost:
+        return FileError(
+            f"needs a file that is not there: '{lost.group(1)}' ({_place(text)})",
+            file=where,
+            remedy="put it where the scene looks for it (paths count from the scene's folder)",
+        )
+    plugin = re.search(r'[Pp]lugin "?([\w-]+)"? not found', text)
+    if plugin:
+        return DamagedFileError(
+            f"asks for the plug-in '{plugin.group(1)}', which Mitsuba does not have "
+            f"({_place(text)})",
+            file=where,
+            remedy="mend its type, or import the package that registers it first",
+        )
+    return DamagedFileError(
+        f"cannot be loaded: {text[:500]}",
+        file=where,
+        remedy="Mitsuba 3 reads scenes of version 0.4 to its own; older ones need its converter",
+    )
+
+
+def _place(text: str) -> str:
+    found = re.search(r"line \d+(?:, col \d+)?", text)
+    return found.group(0) if found else "in a nested file"
+
+
+def _chosen_sensor(scene: Any, camera: str | int | None, where: object) -> Any:
+    sensors = scene.sensors()
+    if not sensors:
+        raise OptionError(
+            "the scene has no sensor (camera)",
+            file=where,
+            remedy='add one, for example <sensor type="perspective"> with a to_world transform',
+        )
+    if camera is None:
+        return sensors[0]
+    names = [s.id() for s in sensors]
+    text = str(camera)
+    if text in names:
+        return sensors[names.index(text)]
+    if text.isdigit() and int(text) < len(sensors):
+        return sensors[int(text)]
+    known = [f"{n}" + (f" ('{name}')" if name else "") for n, name in enumerate(names)]
+    raise UnknownNameError("camera", text, known, file=where)
+
+
+def _resize(mi: Any, sensor: Any, size: tuple[int, int]) -> None:
+    if min(size) < 1 or max(size) > 65536:
+        raise OptionError(f"a picture of {size[0]}x{size[1]} pixels cannot be made")
+    params = mi.traverse(sensor)
+    params["film.size"] = mi.ScalarVector2u(*size)
+    params["film.crop_size"] = mi.ScalarVector2u(*size)
+    params["film.crop_offset"] = mi.ScalarPoint2u(0, 0)
+    params.update()
+
+
+def _depths(scene: Any) -> tuple[int | None, int | None]:
+    """``max_depth`` and ``rr_depth`` as the scene's integrator prints them."""
+    text = str(scene.integrator()) if scene.integrator() is not None else ""
+    found = []
+    for name in ("max_depth", "rr_depth"):
+        match = re.search(rf"{name} = (-?\d+)", text)
+        value = int(match.group(1)) if match else None
+        found.append(-1 if value in (0xFFFFFFFF, 2**31 - 1) else value)
+    return found[0], found[1]
+
+
+def _notes(scene: Any, sensor: Any) -> tuple[str, ...]:
+    notes = []
+    kind = sensor.film().rfilter().class_name()
+    if kind != "BoxFilter":
+        notes.append(
+            f"The film's {kind.removesuffix('Filter').lower()} filter spreads each sample over "
+            "several pixels, so that their noise is correlated; rendered with a box filter."
+        )
+    integrator = scene.integrator()
+    name = integrator.class_name() if integrator is not None else ""
+    if name and name not in (*OWN_PATHS, *VOLUMETRIC):
+        notes.append(
+            f"The scene asks for the integrator {name}; rendered by path tracing "
+            "(--integrator scene takes the scene's own)."
+        )
+    return tuple(notes)
+
+
+def _digest_of_file(path: Path, parameters: Mapping[str, Any]) -> str:
+    """A hash of the scene's text and of the files it names."""
+    text = path.read_bytes()
+    digest = hashlib.sha256(text)
+    digest.update(repr(sorted(parameters.items())).encode())
+    for name in sorted(set(re.findall(rb'"filename"\s+value="([^"]+)"', text))):
+        file = path.parent / name.decode("utf-8", "replace")
+        if file.is_file():
+            digest.update(name + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def has_media(scene: Any) -> bool:
+    """Whether any shape of a scene bounds a participating medium."""
+    return any(
+        shape.interior_medium() is not None or shape.exterior_medium() is not None
+        for shape in scene.shapes()
+    )
+
+
+def place_camera(mi: Any, sensor: Any, to_world: Any) -> None:
+    """Put a sensor elsewhere: ``to_world`` 4x4 (camera looks along +z, y up)."""
+    params = mi.traverse(sensor)
+    params["to_world"] = mi.Transform4f(np.asarray(to_world, np.float64))
+    params.update()
