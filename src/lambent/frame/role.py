@@ -45,6 +45,8 @@ class Role(str, Enum):
     NORMAL = "normal"
     DEPTH = "depth"
     POSITION = "position"
+    #: Where a point of this pixel was in the previous frame: pixel + motion (x right, y down).
+    #: Channels 2 and 3, if any, lead to the next frame in the same way.
     MOTION = "motion"
     ROUGHNESS = "roughness"
     EMISSION = "emission"

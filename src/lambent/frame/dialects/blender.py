@@ -7,7 +7,10 @@ A layer is ``<view layer>.<pass>``; view layers and light groups have any name t
 ``Noisy Image`` is there when Blender denoised the render: then ``Combined`` is the clean picture.
 ``Diffuse Direct`` and its kind are light *before* the surface's colour: the beauty is
 Σ (direct + indirect) · colour + emission + environment. ``Denoising Normal`` is in camera space
-(Cycles' camera looks along +z: what one sees has z < 0), ``Normal`` in world space.
+(Cycles' camera looks along +z: what one sees has z < 0), ``Normal`` in world space. ``Vector``
+holds, in pixels with y *up*, (where the point was in the previous frame) - (where it is) in X, Y,
+and (where it is) - (where it will be) in Z, W: three of the four change sign to become Lambent's
+motion (measured by warping frames of 5.0 into each other, ``tests/render/cycles``).
 """
 
 from __future__ import annotations
@@ -68,6 +71,7 @@ BLENDER = Dialect(
             Role.MOTION,
             "X, Y to the previous frame, Z, W to the next, in pixels",
             space=Space.PIXELS,
+            factors=(1.0, -1.0, -1.0, 1.0),
         ),
         Rule(r"UV|UV\.A", Role.OTHER, "texture coordinates"),
         Rule(r"Diffuse Color|DiffCol", Role.DIFFUSE_ALBEDO, "colour of the surface"),

@@ -70,17 +70,19 @@ def _named(images: Sequence[Image], asked: str) -> list[Image]:
 def overridden(matches: Sequence[Match], wanted: Sequence[tuple[Role, Stat, Image]]) -> list[Match]:
     """The matches with the user's choices in place; a rank below zero wins in `settle`."""
     result = list(matches)
+    factors: tuple[float, ...]
     for role, stat, image in wanted:
         for place, match in enumerate(result):
             if match.image is image:
                 channels = picked(role, image)
                 assert channels is not None
                 why = f"--map {role.value}{'' if stat is Stat.MEAN else '.' + stat.value}"
-                space = INFO[role].space
+                space, factors = INFO[role].space, ()
                 if match.found.role is role:
-                    space = match.found.space
+                    space, factors = match.found.space, match.found.factors
                 found = Found(
-                    role, image.name, channels, stat, space, image.view, why, misses(role)
-                )
+                    role, image.name, channels, stat, space, image.view, why, misses(role),
+                    factors=factors,
+                )  # fmt: skip
                 result[place] = Match(image, found, -1, match.scope)
     return result

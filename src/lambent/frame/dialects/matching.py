@@ -231,6 +231,7 @@ def _from_rule(
     found = Found(
         rule.role, image.name, channels, rule.stat, space, image.view, why,
         misses(rule.role, rule.miss) if rule.stat is not Stat.VARIANCE else (),
+        factors=rule.factors[: len(channels)],
     )  # fmt: skip
     if not rule.per_sample:
         return found, ""

@@ -23,7 +23,8 @@ class Rule:
     name. ``alpha``: True or False asks for an image with or without an alpha of its own.
     ``without``: the rule holds only where no layer of that name is beside it.
     ``per_sample``: the file holds the variance of the samples; divided by spp it is that of the
-    mean. ``hint``: text in small letters that every matching name contains; it spares compiling
+    mean. ``factors``: what each channel is multiplied with to have the role's unit and direction.
+    ``hint``: text in small letters that every matching name contains; it spares compiling
     patterns that cannot match.
     """
 
@@ -37,6 +38,7 @@ class Rule:
     alpha: bool | None = None
     without: str = ""
     per_sample: bool = False
+    factors: tuple[float, ...] = ()
     hint: str = ""
 
 
@@ -71,6 +73,7 @@ class Found:
     part of the first is ``part``. ``view``: name of the stereo view; ``""`` in a file without
     views, and for layers that all views share. ``miss``: all values that mean "nothing was hit".
     ``scale``: factor from the file's values to the role's unit (variances per sample: 1/spp).
+    ``factors``: the same for each channel of its own (signs of motion); empty: none.
     """
 
     role: Role
@@ -82,6 +85,7 @@ class Found:
     why: str = ""
     miss: tuple[float, ...] = ()
     scale: float = 1.0
+    factors: tuple[float, ...] = ()
 
     @property
     def part(self) -> int:

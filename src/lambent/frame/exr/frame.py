@@ -188,6 +188,8 @@ class _Loader:
         for found in group:
             if found.scale != 1.0:
                 self.done[id(found)] *= np.float32(found.scale)
+            if found.factors:
+                self.done[id(found)] *= np.asarray(found.factors, np.float32)
 
     def _single(self, found: Found) -> FloatImage | None:
         """A layer that is one kept channel as it stands: no copy."""
@@ -282,6 +284,8 @@ def _place(
         planes = [image[:, :, n] for n in range(image.shape[2])]
     if found.scale != 1.0:
         planes = [plane / np.float32(found.scale) for plane in planes]
+    if found.factors:
+        planes = [p / np.float32(f) for p, f in zip(planes, found.factors, strict=True)]
     for (index, name), plane in zip(found.channels, planes, strict=True):
         part = exr.parts[index]
         if part.channels[name].dtype == np.float16 and (beyond := beyond_half(plane)):

@@ -29,7 +29,8 @@ PASSES = (
     "emit",
     "environment",
 )
-EXTRA_PASSES = ("uv", "mist", "object_index", "material_index", "ambient_occlusion")
+#: Cheap ones that say more about a file's things; occlusion and shadow cost rays and stay as set.
+EXTRA_PASSES = ("uv", "mist", "object_index", "material_index")
 CRYPTOMATTES = ("cryptomatte_object", "cryptomatte_material")
 
 
@@ -153,9 +154,10 @@ def _layers(scene: Any, order: dict[str, Any]) -> list[str]:
             setattr(layer, f"use_pass_{name}", True)
         for name in CRYPTOMATTES:
             setattr(layer, f"use_pass_{name}", bool(order.get("cryptomatte")))
+        for name in EXTRA_PASSES:
+            setattr(layer, f"use_pass_{name}", order.get("passes") != "light")
         if order.get("passes") == "light":
-            for name in (*EXTRA_PASSES, "shadow"):
-                setattr(layer, f"use_pass_{name}", False)
+            layer.use_pass_ambient_occlusion = layer.use_pass_shadow = False
     if len(on) > 1:
         names = ", ".join(f"'{layer.name}'" for layer in on)
         notes.append(f"The scene has several view layers, all rendered: {names}.")
