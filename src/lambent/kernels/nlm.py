@@ -180,7 +180,7 @@ class PatchSearch:
         return [[plane.view(0, t, extend) for t in taps] for plane in planes]
 
     def column_ends(self, dy: int) -> list[Any]:
-        """What `_mean` along the columns needs to know of an offset."""
+        """What `mean_along` along the columns needs to know of an offset."""
         return self._ends(dy, self.layout.height)
 
     def _ends(self, step: int, size: int) -> list[Any]:
@@ -248,7 +248,7 @@ def nlm_mean(
         weights = []
         for plane, (dx, dy) in zip(search.row_means(batch), batch, strict=True):
             (views,) = search.column_views([plane])
-            distance = _mean(views, search.rows.view(), search.column_ends(dy))
+            distance = mean_along(views, search.rows.view(), search.column_ends(dy))
             if seen is not None and also is not None:
                 distance = greater(distance, also(centre, seen.views(dx, dy), knobs))
             weights.append((dx, dy, exp_weight(-greater(distance, 0.0))))
@@ -274,7 +274,7 @@ def _add_both_ways(search: PatchSearch, batch: list[tuple[int, int]], sums: Weig
     rows = search.rows.view(extend=reach)
     likenesses = []
     for views, (_, dy) in zip(search.column_views(planes, reach), half, strict=True):
-        distance = _mean(views, rows, search.column_ends(dy))
+        distance = mean_along(views, rows, search.column_ends(dy))
         likenesses.append(exp_weight(-greater(distance, 0.0)))
     dr.eval(likenesses)
     weights = []
@@ -295,7 +295,7 @@ def _coordinates(layout: Layout, extent: int, module: Any) -> tuple[Plane, Plane
     )
 
 
-def _mean(views: list[Any], place: Any, ends: list[Any]) -> Any:
+def mean_along(views: list[Any], place: Any, ends: list[Any]) -> Any:
     """Sum of the views over the number of pairs inside the image, along one axis.
 
     ``place``: the coordinate of each entry along this axis; ``ends``: from `PatchSearch`.
@@ -312,4 +312,4 @@ def _mean(views: list[Any], place: Any, ends: list[Any]) -> Any:
 
 
 def _means(views: list[list[Any]], place: Any, ends: list[list[Any]]) -> list[Any]:
-    return [_mean(v, place, e) for v, e in zip(views, ends, strict=True)]
+    return [mean_along(v, place, e) for v, e in zip(views, ends, strict=True)]

@@ -33,6 +33,8 @@ from numpy.typing import NDArray
 
 from lambent.kernels.arrays import backend
 from lambent.kernels.exponential import exp_weight
+from lambent.kernels.extremes import smaller
+from lambent.kernels.nlm import PatchSearch, mean_along, variance_difference
 
 Image = NDArray[np.float32]
 
@@ -79,12 +81,7 @@ class Weights:
 
 
 def patch_weights(
-    guide: Image,
-    variance: Image,
-    window: Window,
-    device: str = "auto",
-    k: float = 1.0,
-    least: bool = False,
+    guide: Image, variance: Image, window: Window, device: str = "auto", k: float = 1.0
 ) -> Weights:
     """Non-local-means weights of every centre's window, from patches of ``guide``.
 
@@ -94,25 +91,83 @@ def patch_weights(
         Δ²(p, q) = ((u_p − u_q)² − (v_p + min(v_p, v_q))) / (ε + k² (v_p + v_q))                (3)
 
     averaged over channels and the patch; w = exp(−max(0, Δ²)). Zero outside the image.
-    ``least``: averaged over the patch only, and the least weight of the channels counts.
     """
     jit = backend(device)
     import drjit as dr
 
-    height, width, channels = guide.shape
+    height, width, _ = guide.shape
     R, F, s = window.radius, window.patch, window.stride
     rows_c, cols_c = window.centres(height), window.centres(width)
-    kinds = channels if least else 1
     both = _packets(jit, np.concatenate([guide, variance], axis=2), R + F)
     planes = dr.empty(jit.Float, window.offsets() * rows_c * cols_c)
     span = width + 2 * F
-    # Stripes keep the column sums, (kinds, O, rows of centres, W + 2F), near 50 MB.
-    stripe = max(1, int(12e6 / (kinds * window.offsets() * span)))
+    # Stripes keep the column sums, (O, rows of centres, W + 2F), near 50 MB.
+    stripe = max(1, int(12e6 / (window.offsets() * span)))
     for first in range(0, rows_c, stripe):
         count = min(stripe, rows_c - first)
-        columns = _column_sums(jit, both, guide.shape, window, k, first * s, count, kinds)
-        _row_weights(jit, columns, planes, guide.shape, window, first, count, kinds)
+        columns = _column_sums(jit, both, guide.shape, window, k, first * s, count)
+        _row_weights(jit, columns, planes, guide.shape, window, first, count)
     return Weights(planes, height, width, window, device)
+
+
+def least_weights(
+    guide: Image, variance: Image, window: Window, device: str = "auto", k: float = 1.0
+) -> Weights:
+    """As `patch_weights`, with the least weight of the channels instead of their mean distance.
+
+    Patches at the borders count what is inside the image. Offset by offset on whole images
+    (`lambent.kernels.nlm`): centres that a stride leaves out save nothing here.
+    """
+    import drjit as dr
+
+    jit = backend(device)
+    height, width, channels = guide.shape
+    R, s = window.radius, window.stride
+    numbers = (k * k, 1.0, TINY)
+    searches = [
+        PatchSearch.of(
+            guide[:, :, c : c + 1],
+            variance[:, :, c : c + 1],
+            R,
+            window.patch,
+            _bounded_difference,
+            numbers,
+            device=device,
+        )
+        for c in range(channels)
+    ]
+    rows_c, cols_c = window.centres(height), window.centres(width)
+    planes = np.empty((window.offsets(), rows_c, cols_c), np.float32)
+    layout = searches[0].layout
+    waiting: list[tuple[int, Any]] = []
+
+    def store() -> None:
+        for number, w in waiting:
+            image = w.numpy().reshape(layout.height, layout.stride)
+            planes[number] = image[::s, :width:s]
+
+    for batch in searches[0].batches():
+        rows = [search.row_means(batch) for search in searches]
+        weights = []
+        for i, (dx, dy) in enumerate(batch):
+            farthest = jit.Float(0)
+            for search, found in zip(searches, rows, strict=True):
+                (views,) = search.column_views([found[i]])
+                distance = mean_along(views, search.rows.view(), search.column_ends(dy))
+                farthest = dr.select(distance > farthest, distance, farthest)
+            w = exp_weight(-farthest) * searches[0].mask.view(0, dx, dy)
+            weights.append(((dy + R) * (2 * R + 1) + dx + R, w))
+        dr.eval([w for _, w in weights])
+        store()  # of the batch before, while this one is computed
+        waiting = weights
+    store()
+    return Weights(jit.Float(planes.ravel()), height, width, window, device)
+
+
+def _bounded_difference(
+    p: list[Any], q: list[Any], vp: list[Any], vq: list[Any], k: list[Any]
+) -> Any:
+    return smaller(variance_difference(p, q, vp, vq, k), FARTHEST)
 
 
 def _column_sums(
@@ -123,13 +178,12 @@ def _column_sums(
     k: float,
     top: int,
     count: int,
-    kinds: int,
 ) -> Any:
     """Distances (3) summed down the columns of patches, for ``count`` rows of centres.
 
     A thread has one offset and one column and walks down: the distances of the rows that two
     patches share stay in registers, so that no plane of distances is ever written.
-    ``(kinds, O, count, W + 2F)``, flat: one kind is the mean of the channels, else one a channel.
+    ``(O, count, W + 2F)``, flat.
     """
     import drjit as dr
 
@@ -146,34 +200,30 @@ def _column_sums(
     first = dr.opaque(jit.UInt32, top + R) * pitch + x + R
     shift = oy * pitch + ox - (R * pitch + R)
 
-    def distance(p: Any) -> list[Any]:
+    def distance(p: Any) -> Any:
         here, there = _packet(jit, both, p), _packet(jit, both, p + shift)
-        found = []
+        total = jit.Float(0)
         for c in range(channels):
             vp, vq = here[channels + c], there[channels + c]
             d = here[c] - there[c]
             above = d * d - (vp + dr.select(vp < vq, vp, vq))
             one = above / (TINY + (k * k) * (vp + vq))
-            found.append(dr.select(one < FARTHEST, one, FARTHEST))
-        return found if kinds > 1 else [sum(found[1:], found[0])]
+            total += dr.select(one < FARTHEST, one, FARTHEST)
+        return total
 
     kept = max(0, tall - s)
-    scale = 1.0 / ((1 if kinds > 1 else channels) * tall * tall)
-    size = side * side * count * (width + 2 * F)
-    sums = dr.empty(jit.Float, kinds * size)
-    one_kind = dr.opaque(jit.UInt32, size)
+    sums = dr.empty(jit.Float, side * side * count * (width + 2 * F))
     last = dr.opaque(jit.UInt32, count)
 
     def walk(row: Any, p: Any, to: Any, *old: Any) -> tuple[Any, ...]:
-        new = [*old]
-        for j in range(kept, tall):
-            new += distance(p + j * pitch)
-        for c in range(kinds):
-            total = sum(new[c + kinds :: kinds], new[c])
-            dr.scatter(sums, total * scale, to + c * one_kind)
-        return (row + 1, p + s * pitch, to + span, *new[len(new) - kept * kinds :])
+        new = [*old, *(distance(p + j * pitch) for j in range(kept, tall))]
+        total = new[0]
+        for value in new[1:]:
+            total = total + value
+        dr.scatter(sums, total * (1.0 / (channels * tall * tall)), to)
+        return (row + 1, p + s * pitch, to + span, *new[len(new) - kept :])
 
-    start = [value for j in range(kept) for value in distance(first + j * pitch)]
+    start = [distance(first + j * pitch) for j in range(kept)]
     dr.while_loop(
         (jit.UInt32(0), first, offset * (last * span) + x, *start),
         lambda row, *_: row < last,
@@ -191,7 +241,6 @@ def _row_weights(
     window: Window,
     first: int,
     count: int,
-    kinds: int,
 ) -> None:
     """Column sums to weights, along the rows; written into ``planes``."""
     import drjit as dr
@@ -207,16 +256,12 @@ def _row_weights(
     span = wide + 2 * F
     step = dr.opaque(jit.UInt32, count) * span
     n_centres = dr.opaque(jit.UInt32, rows_c * cols_c)
-    one_kind = dr.opaque(jit.UInt32, window.offsets() * count * (width + 2 * F))
 
     def along(o: Any, dx: Any, qx: Any, qy: Any, at: Any, to: Any) -> tuple[Any, ...]:
-        farthest = jit.Float(0)
-        for c in range(kinds):
-            total = jit.Float(0)
-            for i in range(2 * F + 1):
-                total += dr.gather(jit.Float, columns, at + c * one_kind + i)
-            farthest = dr.select(total > farthest, total, farthest)
-        w = exp_weight(-farthest)
+        total = dr.gather(jit.Float, columns, at)
+        for i in range(1, 2 * F + 1):
+            total += dr.gather(jit.Float, columns, at + i)
+        w = exp_weight(-dr.select(total > 0, total, 0))
         # Unsigned: what lies left of the image or above it is very large.
         dr.scatter(planes, dr.select((qx < wide) & (qy < high), w, 0), to)
         wrap = dx == 2 * R
