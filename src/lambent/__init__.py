@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 # Public name -> module that holds it.
 _PUBLIC = {
     "denoise": "lambent.denoise",  # the package, which can be called; see its docstring
+    "render": "lambent.render",  # likewise
     "read": "lambent.frame.files",
     "write": "lambent.frame.files",
     "Frame": "lambent.frame.frame",
@@ -42,13 +43,14 @@ if TYPE_CHECKING:
     from lambent.frame.role import Role, Space, Stat
     from lambent.frame.sequence import Sequence
     from lambent.metrics.compare import compare
+    from lambent.render.job import render
 
 
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'lambent' has no attribute {name!r}")
     module = importlib.import_module(_PUBLIC[name])
-    value = module if name == "denoise" else getattr(module, name)
+    value = module if name in ("denoise", "render") else getattr(module, name)
     globals()[name] = value
     return value
 

@@ -93,6 +93,42 @@ def pairs(option: str, texts: Iterable[str] | None) -> dict[str, str]:
     return found
 
 
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """``"1280x720"`` to ``(1280, 720)``. Raises `OptionError`."""
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
+        raise OptionError(f"--size '{text}' is no size in pixels", remedy="write --size 1280x720")
+    return int(width), int(height)
+
+
+def definitions(texts: Iterable[str] | None) -> dict[str, str]:
+    """``["resx=320", …]`` to a table. Raises `OptionError`."""
+    found = {}
+    for text in texts or ():
+        name, sign, value = text.partition("=")
+        if not (sign and name.strip()):
+            raise OptionError(f"--define '{text}' is not of the form NAME=VALUE")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def light_groups(texts: Iterable[str] | None) -> dict[str, list[str]]:
+    """``["key=sun,lamp*", …]`` to patterns by name. Raises `OptionError`."""
+    found: dict[str, list[str]] = {}
+    for text in texts or ():
+        name, _, patterns = text.partition("=")
+        named = [p.strip() for p in patterns.split(",") if p.strip()]
+        if not (name.strip() and named):
+            raise OptionError(
+                f"--light-group '{text}' is not of the form NAME=ID,...",
+                remedy="for example --light-group key=sun,lamp*",
+            )
+        found.setdefault(name.strip(), []).extend(named)
+    return found
+
+
 def print_json(document: Any) -> None:
     """One JSON document on stdout; what JSON does not know becomes text."""
     print(json.dumps(document, indent=2, default=_plain, allow_nan=False))

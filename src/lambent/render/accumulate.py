@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,7 +27,9 @@ from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Stat
 from lambent.render.channels import Group
 from lambent.render.moments import Moments
-from lambent.render.sampling import FrameSampler
+
+if TYPE_CHECKING:
+    from lambent.render.sampling import FrameSampler
 
 #: Paths a pass traces, about: some seconds on two cores.
 PASS_PATHS = 3_000_000

@@ -32,16 +32,17 @@ import fnmatch
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.render.motion import Motion, motion_between, projection
+
+if TYPE_CHECKING:
+    from lambent.render.motion import Motion
 
 Matrix = NDArray[np.float64]
 
@@ -202,6 +203,8 @@ class Stage:
 
     def motion(self, frame: float, previous: float) -> Motion:
         """Motion from ``previous`` to ``frame``; leaves the stage in ``frame``."""
+        from lambent.render.motion import motion_between, projection
+
         self.pose(previous)
         before = projection(self.sensor)
         stood = np.array(self._sensor_params["to_world"].matrix, float).reshape(4, 4)[:3, 3]
@@ -226,6 +229,8 @@ class Stage:
         return moves
 
     def _place(self, name: str, matrix: Matrix) -> None:
+        import drjit as dr
+
         mi, params = self.mi, self._params
         transform = mi.Transform4f(matrix)
         for key in (f"{name}.vertex_positions", f"{name}.vertex_normals", f"{name}.to_world"):

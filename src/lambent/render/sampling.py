@@ -135,7 +135,7 @@ class FrameSampler:
             _image(sums.spread, width, height),
             _image(sums.half_a, width, height),
             _image([sums.half_count], width, height)[:, :, 0],
-            int(round(spp * width * height - float(count.sum(dtype=np.float64)))),
+            round(spp * width * height - float(count.sum(dtype=np.float64))),
         )
 
     # --------------------------------------------------------------- private

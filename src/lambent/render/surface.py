@@ -16,6 +16,7 @@ is not known here keeps its ``eval_diffuse_reflectance`` and is taken as rough w
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,23 +148,29 @@ _HANDLERS = {
 # ------------------------------------------------------------------- private
 
 
-class _Parts(mi.TraversalCallback):  # type: ignore[misc]
-    """Collects what a Mitsuba object tells of itself: one level, values and objects by name."""
+@functools.cache
+def _collector() -> Any:
+    """The class of a collector; Mitsuba's base classes exist once a variant is set."""
 
-    def __init__(self, thing: Any) -> None:
-        super().__init__()
-        self.thing = thing
-        self.found: dict[str, Any] = {}
+    class Parts(mi.TraversalCallback):  # type: ignore[misc]
+        """Collects what a Mitsuba object tells of itself: one level, values and objects."""
 
-    def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
-        """A texture, a nested BSDF, or a number (as a typed pointer)."""
-        if not isinstance(value, mi.Object):
-            value = mi.get_property(value, cpptype, self.thing)
-        self.found[name] = value
+        def __init__(self, thing: Any) -> None:
+            super().__init__()
+            self.thing = thing
+            self.found: dict[str, Any] = {}
+
+        def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
+            """A texture, a nested BSDF, or a number (as a typed pointer)."""
+            if not isinstance(value, mi.Object):
+                value = mi.get_property(value, cpptype, self.thing)
+            self.found[name] = value
+
+    return Parts
 
 
 def _children(thing: Any) -> dict[str, Any]:
-    parts = _Parts(thing)
+    parts = _collector()(thing)
     thing.traverse(parts)
     return parts.found
 

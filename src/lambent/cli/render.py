@@ -1,0 +1,242 @@
+"""Render a scene with every feature that a denoiser wants.
+
+SCENE is a Mitsuba scene (.xml), rendered by path tracing, or a Blender file (.blend), rendered by
+Cycles. The EXR holds colour, its variance and two half buffers, light split in several ways,
+albedo, normal, depth, position, roughness and alpha, each with its variance. It is written again
+and again while the picture grows; after Ctrl-C it holds what was reached, and --resume goes on.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from lambent.render.accumulate import State
+    from lambent.render.job import Rendered
+
+EPILOG = (
+    "Examples: lambent render scene.xml --spp 64; lambent render scene.xml --spp +64 --resume; "
+    "lambent render scene.xml --time 60 --report; "
+    "lambent render scene.xml --frames 1-24 -o shot.####.exr"
+)
+
+
+def complete_features(incomplete: str) -> list[str]:
+    """For the shell: names of layers and families that begin like this."""
+    from lambent.render.channels import GROUPS
+
+    names = ["all", "none", "light", "features", "first", *(g.name for g in GROUPS)]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def render(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="An .xml or a .blend.")],
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT.exr",
+            help="Where to write; a pattern for frames. Default: SCENE.exr here.",
+        ),
+    ] = None,
+    spp: Annotated[
+        str | None,
+        typer.Option(metavar="N|+N", help="Samples a pixel in all (64), or so many more."),
+    ] = None,
+    time: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="End each picture after this time.")
+    ] = None,
+    target_error: Annotated[
+        float | None,
+        typer.Option(metavar="RELMSE", help="End when the estimated error is this small."),
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(metavar="1-24", help="Frames of an animation, or 'all' of its file."),
+    ] = None,
+    animation: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Keyframes; default: SCENE.toml beside the scene."),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(metavar="NAME|N", help="Which camera, if there are several.")
+    ] = None,
+    features: Annotated[
+        str,
+        typer.Option(
+            metavar="all|none|NAME,...",
+            help="Layers beside the colour: light, features, first, or single names.",
+            autocompletion=complete_features,
+        ),
+    ] = "all",
+    depth: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Most vertices of a path; -1 endless. Default: scene's."),
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    integrator: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="path (ours), scene (its own), or one of Mitsuba's."),
+    ] = "path",
+    light_group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=ID,...",
+            help="A layer for the light of these emitters: key=sun,lamp*. Repeatable.",
+        ),
+    ] = None,
+    define: Annotated[
+        list[str] | None,
+        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what the output holds.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
+    ] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write a page that shows the picture as it grows.")
+    ] = False,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.cli.options import definitions, light_groups, size_of
+    from lambent.frame.sequence import parse_range
+    from lambent.render.job import frames_of, render_all
+
+    numbers: tuple[int, ...] | None = None
+    if frames == "all":
+        numbers = frames_of(animation, scene)
+    if frames is not None and numbers is None:
+        numbers = parse_range(frames)
+    target = output or _default_output(scene, numbers is not None)
+    page = _Page(Path(target), report and numbers is None)
+    told: list[str] = []
+
+    def note(text: str) -> None:
+        if text not in told:
+            told.append(text)
+
+    with Progress(scene.name, quiet=as_json) as progress:
+
+        def tell(number: int | None, state: State) -> None:
+            which = "" if number is None else f"frame {number}: "
+            progress.report(state.share, 1, which + state.text())
+            page.add(state)
+
+        progress.report(0, 1, "loading and compiling")
+        done = render_all(
+            scene,
+            target,
+            spp=int(spp) if spp is not None and spp.isdigit() else spp,
+            time=time,
+            target_error=target_error,
+            size=size_of(size),
+            frames=numbers,
+            camera=camera,
+            features=features,
+            depth=depth,
+            seed=seed,
+            integrator=integrator,
+            light_groups=light_groups(light_group),
+            animation=None if animation is None else str(animation),
+            parameters=definitions(define),
+            resume=resume,
+            overwrite=overwrite,
+            device=device,
+            report=tell,
+            report_cycles=progress.report,
+            note=note,
+        )
+    page.finish(done[0])
+    if as_json:
+        print_json({"frames": [_as_dict(r) for r in done], "notes": told, "report": page.written})
+        return
+    for result in done:
+        _print(result)
+    for text in told:
+        print(f"  note     {text}")
+    if page.written:
+        print(f"  report   {page.written}")
+
+
+# ------------------------------------------------------------------- private
+
+
+class _Page:
+    """The report that is written again while the picture grows (at most every few seconds)."""
+
+    EVERY = 5.0
+
+    def __init__(self, target: Path, wanted: bool) -> None:
+        self.path = target.with_suffix(".html") if wanted else None
+        self.written: str | None = None
+        self.states: list[tuple[float, int, float]] = []
+        self._last = -1e9
+
+    def add(self, state: State) -> None:
+        """After a pass."""
+        if self.path is None:
+            return
+        self.states.append((state.seconds, state.moments.spp, state.moments.error()))
+        if state.seconds - self._last < self.EVERY:
+            return
+        from lambent.report.rendering import write_rendering
+
+        self._last = state.seconds
+        frame = state.moments.frame(halves=False)
+        write_rendering(self.path, frame, self.states, left=state.left, running=True)
+        if self.written is None:
+            print(f"the picture grows in {self.path}", file=sys.stderr)
+        self.written = str(self.path)
+
+    def finish(self, result: Rendered) -> None:
+        """With every layer, and no more reloading."""
+        if self.path is None:
+            return
+        from lambent.report.rendering import write_rendering
+
+        write_rendering(self.path, result.frame, self.states, left=None, running=False)
+        self.written = str(self.path)
+
+
+def _default_output(scene: Path, many: bool) -> str:
+    stem = scene.parent.resolve().name if scene.stem == "scene" else scene.stem
+    return f"{stem}.####.exr" if many else f"{stem}.exr"
+
+
+def _print(result: Rendered) -> None:
+    from lambent.frame.role import Role
+
+    frame = result.frame
+    print(f"{result.path}")
+    grown = f", {result.began_with} of them from before" if result.began_with else ""
+    print(f"  holds    {frame.width}x{frame.height}, {frame.spp} spp{grown}")
+    roles = dict.fromkeys(key[0].value for key in frame.layers)
+    groups = [n for n, layer in frame.lighting().items() if layer.role is Role.LIGHTING]
+    print(f"  layers   {', '.join([*roles, *groups])}")
+
+
+def _as_dict(result: Rendered) -> dict[str, Any]:
+    return {
+        "path": None if result.path is None else str(result.path),
+        "frame": result.number,
+        "width": result.frame.width,
+        "height": result.frame.height,
+        "spp": result.frame.spp,
+        "began_with": result.began_with,
+        "layers": [layer.name for layer in result.frame.all_layers()],
+    }
