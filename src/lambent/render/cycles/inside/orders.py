@@ -33,7 +33,6 @@ class Studio:
         self._before = 0
         self._now = 0
         self._total = 1
-        bpy.app.handlers.render_stats.append(self._watch)
 
     def obey(self, order: dict[str, Any]) -> dict[str, Any]:
         """Do what is asked for; the facts to answer with. Raises `Refused`."""
@@ -74,6 +73,8 @@ class Studio:
             self._device = (wish, choose_device(scene, wish))
         facts = {**self._facts, "device": self._device[1], **apply_settings(scene, order)}
         facts["notes"] = [*self._facts.get("notes", ()), *facts["notes"]]
+        if self._watch not in bpy.app.handlers.render_stats:  # opening a scene drops it
+            bpy.app.handlers.render_stats.append(self._watch)
         pictures = order["pictures"]
         self._before, self._now = 0, 0
         self._total = sum(picture["samples"] for picture in pictures)
