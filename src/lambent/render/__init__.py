@@ -1,7 +1,7 @@
 """Frames with every feature, from Mitsuba scenes and from Blender's Cycles.
 
-Reading order: `path` (one sample, and the books it keeps), `surface` (what is seen), `sampling` (all
-samples of a picture in one kernel), `moments` (what is known of every pixel), `accumulate` (a
+Reading order: `path` (one sample, and the books it keeps), `surface` (what is seen), `sampling`
+(all samples of a picture in one kernel), `moments` (what is known of every pixel), `accumulate` (a
 picture that grows and resumes), `animation` and `motion`, `scene` (files), `job` (the verb);
 `integrator` is the same as a Mitsuba plug-in. `procedural` makes random scenes, `cycles` talks to
 Blender.

@@ -1,7 +1,7 @@
 """A picture that grows: passes of samples until enough of them, of time, or of quality.
 
-The EXR itself is the checkpoint: it holds means, variances, half buffers and the number of samples of
-every pixel, which is all that `Moments` are made of. It is written once a minute (or less often,
+The EXR itself is the checkpoint: it holds means, variances, half buffers and the number of samples
+of every pixel, which is all that `Moments` are made of. It is written once a minute (or less often,
 where writing takes long), in one step; so a stop at any moment leaves the picture as it was at the
 last checkpoint, and a later run goes on from there, with samples of its own.
 
@@ -228,10 +228,12 @@ def _moments_of(frame: Frame, groups: tuple[Group, ...]) -> Moments:
     spread = np.concatenate(variances, axis=2)
     spread = spread * (np.maximum(count - 1, 1) * np.maximum(count, 1))[:, :, None]
     mean = np.concatenate(means, axis=2)
+    colour = mean[:, :, :3]  # one sample has no halves: it is half A
     half_a = frame.get(Role.COLOUR, Stat.HALF_A)
-    if half_a is None:
-        half_a = mean[:, :, :3]
-    return Moments(groups, spp, count, mean, spread, half_a, halves, dropped)
+    half_b = frame.get(Role.COLOUR, Stat.HALF_B)
+    half_a = colour if half_a is None else half_a
+    half_b = np.zeros_like(colour) if half_b is None else half_b
+    return Moments(groups, spp, count, mean, spread, half_a, half_b, halves, dropped)
 
 
 def _layer_of(frame: Frame, group: Group, stat: Stat) -> Any:

@@ -1,8 +1,8 @@
 """Animation: a camera path and moving shapes, from keyframes or from a function.
 
-A frame's `Pose` is where things are: the camera's ``to_world``, its field of view, and for shapes that
-move a transform of world space, applied to the place the scene file gives them. An animation is
-any function ``frame -> Pose``. `Keyframes` is one made of a TOML file::
+A frame's `Pose` is where things are: the camera's ``to_world``, its field of view, and for shapes
+that move a transform of world space, applied to the place the scene file gives them. An animation
+is any function ``frame -> Pose``. `Keyframes` is one made of a TOML file::
 
     frames = [1, 48]                          # first and last
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from lambent.errors import UnknownNameError
 from lambent.frame.role import Role
+from lambent.kernels.extremes import smaller
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,9 @@ def _indirect(b: Any) -> Any:
 
 
 def _albedo(b: Any) -> Any:
-    return b.diffuse_albedo + b.specular_albedo
+    """At most 1: a plastic's diffuse reflectance and its Fresnel reflectance may sum to more."""
+    both = b.diffuse_albedo + b.specular_albedo
+    return smaller(both, type(both)(1))
 
 
 COLOUR = Group("colour", Role.COLOUR, 3, lambda b: b.colour)

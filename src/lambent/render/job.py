@@ -1,7 +1,8 @@
 """The verb `render`: a scene file in, frames out.
 
-``.xml`` and Mitsuba dictionaries are rendered by our own sampler (`lambent.render.sampling`), ``.blend``
-files by Cycles (`lambent.render.cycles`). With an output the picture is kept there while it grows.
+``.xml`` and Mitsuba dictionaries are rendered by our own sampler (`lambent.render.sampling`),
+``.blend`` files by Cycles (`lambent.render.cycles`). With an output the picture is kept there while
+it grows.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Light groups: which emitter belongs to which layer of light.
 
-A group is a name and patterns of ids (``fill = ["lamp*", "window"]``); an emitter's id is its own, or
-for an area light that of its shape. Emitters that no pattern names form the group ``rest``.
+A group is a name and patterns of ids (``fill = ["lamp*", "window"]``); an emitter has an id of its
+own, and an area light also that of its shape. Emitters that no pattern names form the group
+``rest``.
 """
 
 from __future__ import annotations
@@ -20,14 +21,21 @@ from lambent.errors import UnknownNameError
 REST = "rest"
 
 
-def emitter_ids(scene: Any) -> list[str]:
-    """The id of every emitter of a scene, in Mitsuba's order."""
-    named = []
-    for emitter in scene.emitters():
-        shape = emitter.get_shape() if hasattr(emitter, "get_shape") else None
-        own = emitter.id()
-        named.append(shape.id() if shape is not None and own in ("", "emitter") else own)
-    return named
+def emitter_ids(scene: Any) -> list[tuple[str, ...]]:
+    """The ids of every emitter of a scene, in Mitsuba's order: its shape's first, then its own."""
+    shapes = {}
+    for shape in scene.shapes():
+        if shape.is_emitter():
+            shapes[_index(shape.emitter())] = shape.id()
+    return [
+        tuple(name for name in (shapes.get(_index(e), ""), e.id()) if name)
+        for e in scene.emitters()
+    ]
+
+
+def _index(emitter: Any) -> int:
+    """The emitter's place in Dr.Jit's registry."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.EmitterPtr(emitter))[0])
 
 
 def group_table(scene: Any, groups: Mapping[str, Iterable[str]]) -> tuple[list[str], Any]:
@@ -42,9 +50,11 @@ def group_table(scene: Any, groups: Mapping[str, Iterable[str]]) -> tuple[list[s
     member = [len(names)] * len(ids)
     for number, name in enumerate(names):
         for pattern in groups[name]:
-            found = [i for i, known in enumerate(ids) if fnmatch.fnmatchcase(known, pattern)]
+            found = [
+                i for i, own in enumerate(ids) if any(fnmatch.fnmatchcase(n, pattern) for n in own)
+            ]
             if not found:
-                raise UnknownNameError("emitter", pattern, ids)
+                raise UnknownNameError("emitter", pattern, [n for own in ids for n in own])
             for i in found:
                 member[i] = number if member[i] == len(names) else member[i]
     if len(names) in member:

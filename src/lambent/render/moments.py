@@ -24,8 +24,9 @@ class Moments:
     """Statistics of the samples of a picture; ``groups`` names the channels, colour first.
 
     ``spp``: samples asked for; ``count`` ``(H, W)``: those that were finite; ``mean``, ``spread``
-    ``(H, W, C)``: mean and sum of squared deviations; ``half_a`` ``(H, W, 3)``: mean colour of the
-    samples with even numbers, ``half_count`` how many; ``dropped``: samples whose radiance was not
+    ``(H, W, C)``: mean and sum of squared deviations; ``half_a``, ``half_b`` ``(H, W, 3)``:
+    mean colour of the samples with even and with odd numbers, ``half_count`` how many are even;
+    ``dropped``: samples whose radiance was not
     finite, which take no part. All float32.
     """
 
@@ -35,6 +36,7 @@ class Moments:
     mean: FloatImage
     spread: FloatImage
     half_a: FloatImage
+    half_b: FloatImage
     half_count: FloatImage
     dropped: int = 0
 
@@ -48,14 +50,17 @@ class Moments:
         share = _ratio(other.count, count)[:, :, None]
         apart = other.mean - self.mean
         half_count = self.half_count + other.half_count
-        half_share = _ratio(other.half_count, half_count)[:, :, None]
+        odd, more_odd = self.count - self.half_count, other.count - other.half_count
+        share_a = _ratio(other.half_count, half_count)[:, :, None]
+        share_b = _ratio(more_odd, odd + more_odd)[:, :, None]
         return Moments(
             self.groups,
             self.spp + other.spp,
             count,
             self.mean + apart * share,
             self.spread + other.spread + apart * apart * (share * self.count[:, :, None]),
-            self.half_a + (other.half_a - self.half_a) * half_share,
+            self.half_a + (other.half_a - self.half_a) * share_a,
+            self.half_b + (other.half_b - self.half_b) * share_b,
             half_count,
             self.dropped + other.dropped,
         )
@@ -80,14 +85,6 @@ class Moments:
         result: FloatImage = self.spread / freedom[:, :, None]
         return result
 
-    def half_b(self) -> FloatImage:
-        """Mean colour of the odd samples ``(H, W, 3)``: what half A leaves of the whole."""
-        colour = self.mean[:, :, self.at("colour")]
-        rest = (self.count - self.half_count)[:, :, None]
-        total = colour * self.count[:, :, None] - self.half_a * self.half_count[:, :, None]
-        result: FloatImage = np.where(rest > 0, total / np.maximum(rest, 1), colour)
-        return result.astype(np.float32)
-
     def error(self) -> float:
         """Estimated relMSE of the colour as in `lambent.metrics.relmse`, from its variance.
 
@@ -111,7 +108,7 @@ class Moments:
                 layers.append(_layer(group, spread[:, :, at], Stat.VARIANCE))
         if halves and self.spp >= 2:
             layers.append(Layer(Role.COLOUR, self.half_a, stat=Stat.HALF_A))
-            layers.append(Layer(Role.COLOUR, self.half_b(), stat=Stat.HALF_B))
+            layers.append(Layer(Role.COLOUR, self.half_b, stat=Stat.HALF_B))
         made = Frame.from_layers(layers, spp=self.spp, dialect="generic", **fields)
         if self.dropped:
             made = made.noted(

@@ -1,9 +1,9 @@
 """Motion vectors: where the point that a pixel shows was one frame ago.
 
-Rigidly moving shapes have two transforms, T now and T' one frame ago. A point p that a pixel sees was
-at p' = T' T⁻¹ p, and the previous camera projected it to a pixel; motion is that pixel minus the
-one where the camera of now projects p. So it is added to a pixel of this frame to land on the same
-point in the previous one (x right, y down). Where nothing is hit the background moves as at
+Rigidly moving shapes have two transforms, T now and T' one frame ago. A point p that a pixel sees
+was at p' = T' T⁻¹ p, and the previous camera projected it to a pixel; motion is that pixel minus
+the one where the camera of now projects p. So it is added to a pixel of this frame to land on the
+same point in the previous one (x right, y down). Where nothing is hit the background moves as at
 infinity. What is seen in a mirror moves with the mirror.
 """
 

@@ -1,7 +1,7 @@
 """All samples of a picture in one kernel: a lane is a pixel, the loop over samples is inside.
 
-Mitsuba's own ``render`` launches a lane a sample and adds the results up in memory; means only. Here
-sums stay in registers, so that twenty layers with their variances cost hardly more than the
+Mitsuba's own ``render`` launches a lane a sample and adds the results up in memory; means only.
+Here sums stay in registers, so that twenty layers with their variances cost hardly more than the
 colour, and memory does not grow with the samples. Means and squared deviations are updated stably
 (Welford, "Note on a method for calculating corrected sums of squares and products", 1962).
 
@@ -22,11 +22,14 @@ import numpy as np
 
 from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
+from lambent.render.books import Books, PathOptions
 from lambent.render.channels import COLOUR, MOTION, PREVIOUS_DEPTH, Group, chosen, light_group
 from lambent.render.lights import group_table
 from lambent.render.moments import Moments
 from lambent.render.motion import Motion, pixel_motion
-from lambent.render.path import Books, PathOptions, trace
+from lambent.render.path import look_ahead, trace
+from lambent.render.scene import has_media
+from lambent.render.volume import trace_media
 
 #: Layers that an integrator of Mitsuba's, of which only the radiance is known, cannot split.
 _NEEDS_OUR_PATH = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
@@ -40,6 +43,7 @@ class _Sums:
     mean: list[Any]
     spread: list[Any]
     half_a: list[Any]
+    half_b: list[Any]
     half_count: Any
 
 
@@ -75,6 +79,7 @@ class FrameSampler:
         self.sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.integrator = integrator
         self.motion = motion
+        self.media = has_media(scene)
         groups = [g for g in chosen(features) if g not in (MOTION, PREVIOUS_DEPTH)]
         self.left_out: tuple[str, ...] = ()
         if integrator is not None:
@@ -134,6 +139,7 @@ class FrameSampler:
             _image(sums.mean, width, height),
             _image(sums.spread, width, height),
             _image(sums.half_a, width, height),
+            _image(sums.half_b, width, height),
             _image([sums.half_count], width, height)[:, :, 0],
             round(spp * width * height - float(count.sum(dtype=np.float64))),
         )
@@ -152,6 +158,7 @@ class FrameSampler:
             mi.Float(0),
             [mi.Float(0) for _ in range(channels)],
             [mi.Float(0) for _ in range(channels)],
+            [mi.Float(0) for _ in range(3)],
             [mi.Float(0) for _ in range(3)],
             mi.Float(0),
         )
@@ -175,7 +182,10 @@ class FrameSampler:
         if self.sensor.needs_aperture_sample():
             lens = sampler.next_2d()
         ray, weight = self.sensor.sample_ray(time, mi.Float(0.5), (at - offset) / size, lens)
-        if self.integrator is None:
+        if self.media and self.integrator is None:
+            medium = self.sensor.get_medium()
+            books, sampler = trace_media(self.scene, sampler, ray, self.options, medium)
+        elif self.integrator is None:
             books, sampler = trace(self.scene, sampler, ray, self.options)
         else:
             books, sampler = self._wrapped(sampler, ray)
@@ -191,11 +201,9 @@ class FrameSampler:
 
     def _wrapped(self, sampler: Any, ray: Any) -> tuple[Books, Any]:
         """Radiance by an integrator of Mitsuba's, features by ours."""
-        from lambent.render.path import look_ahead
-
         books, sampler = look_ahead(self.scene, sampler, ray, self.options)
         differential = mi.RayDifferential3f(ray)
-        medium = self.sensor.get_medium() if hasattr(self.sensor, "get_medium") else None
+        medium = self.sensor.get_medium()
         radiance, _, _ = self.integrator.sample(self.scene, sampler, differential, medium)
         books.colour = mi.Color3f(radiance)
         return books, sampler
@@ -212,14 +220,19 @@ def _updated(sums: _Sums, values: list[Any], even: Any) -> _Sums:
         new = dr.fma(apart, weight, m)
         mean.append(new)
         spread.append(dr.fma(apart, dr.select(finite, value - new, 0), s))
-    takes = finite & even
-    half_count = sums.half_count + dr.select(takes, 1, 0)
-    half_weight = dr.select(takes, dr.rcp(half_count), 0)
-    half_a = [
-        dr.fma(dr.select(takes, v - h, 0), half_weight, h)
-        for v, h in zip(values[:3], sums.half_a, strict=True)
+    half_count = sums.half_count + dr.select(finite & even, 1, 0)
+    half_a = _mean_with(sums.half_a, values, half_count, finite & even)
+    half_b = _mean_with(sums.half_b, values, count - half_count, finite & ~even)
+    return _Sums(count, mean, spread, half_a, half_b, half_count)
+
+
+def _mean_with(mean: list[Any], values: list[Any], count: Any, takes: Any) -> list[Any]:
+    """Means after one more sample where ``takes``; ``count`` includes it."""
+    weight = dr.select(takes, dr.rcp(count), 0)
+    return [
+        dr.fma(dr.select(takes, v - m, 0), weight, m)
+        for v, m in zip(values, mean, strict=False)  # the colour is first among the values
     ]
-    return _Sums(count, mean, spread, half_a, half_count)
 
 
 def _image(planes: list[Any], width: int, height: int) -> FloatImage:

@@ -7,8 +7,8 @@ BSDFs) and states three things for the point that is seen:
 ``diffuse``   reflectance of the Lambertian part, ρ_d; what Bako et al. 2017 divide diffuse light by
 ``specular``  what the rest reflects or lets through at this angle: Fresnel reflectance of metals
               (complex index), Schlick's for the principled BSDF, 1 for smooth glass
-``roughness`` in [0, 1], perceptual: the square root of a microfacet α, 1 for diffuse surfaces, 0 for
-              mirrors and clear glass
+``roughness`` in [0, 1], perceptual: the square root of a microfacet α, 1 for diffuse surfaces,
+              0 for mirrors and clear glass
 
 Wrappers (two-sided, mask, bump and normal map) are looked through, blends are blended. A class that
 is not known here keeps its ``eval_diffuse_reflectance`` and is taken as rough without specular.

@@ -1,4 +1,4 @@
-"""The page of a render: the picture as it grows, the estimated error, and in the end every layer."""
+"""The page of a render: the picture as it grows, its estimated error, in the end every layer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Stat
 from lambent.frame.tonemap import auto_exposure, to_uint8
 from lambent.metrics.compare import number
-from lambent.report.page import build, escape, picture, save, table
+from lambent.report.page import build, escape, picture, save
 
 #: Seconds after which a page of a running render loads itself again.
 RELOAD = 5
@@ -77,7 +77,8 @@ def _before(frame: Frame, points: Sequence[Point]) -> int:
 
 
 def _layers(frame: Frame, exposure: float) -> str:
-    rows = []
+    """A gallery of the means, each with its range."""
+    figures = []
     for layer in frame.all_layers():
         if layer.stat is not Stat.MEAN or layer.name.endswith("_variance"):
             continue
@@ -85,11 +86,10 @@ def _layers(frame: Frame, exposure: float) -> str:
         low, high = (number(float(v)) for v in (image.min(), image.max()))
         width, height = _fitted(frame)
         made = picture(_shown(layer, exposure, (width, height)), layer.name, width, height)
-        rows.append(
-            [escape(layer.name), f'<td class="thumb">{made}</td>', low, number(float(image.mean())),
-             high]
-        )  # fmt: skip
-    return table(["Layer", "Picture", "Least", "Mean", "Most"], rows, caption="Layers")
+        name = escape(layer.name.replace("_", " "))
+        words = f"<b>{name}</b> <span>{low} … {high}</span>"
+        figures.append(f"<figure>{made}<figcaption>{words}</figcaption></figure>")
+    return f'<div class="gallery">{"".join(figures)}</div>'
 
 
 def _shown(layer: Layer, exposure: float, size: tuple[int, int]) -> bytes:
@@ -156,9 +156,9 @@ def _curve(points: Sequence[Point]) -> str:
             f'<line x1="{left}" x2="{width - 12}" y1="{y:.1f}" y2="{y:.1f}" class="grid"/>'
             f'<text x="{left - 8}" y="{y + 4:.1f}" text-anchor="end">{10.0**exponent:g}</text>'
         )
-    for k in {points[0][1], points[-1][1]}:
+    for k, anchor in ((points[0][1], "start"), (points[-1][1], "end")):
         x, _ = at(math.log10(max(k, 1)), y0)
-        marks.append(f'<text x="{x:.1f}" y="{height - 12}" text-anchor="middle">{k} spp</text>')
+        marks.append(f'<text x="{x:.1f}" y="{height - 12}" text-anchor="{anchor}">{k} spp</text>')
     return (
         f'<svg class="curve" viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="Estimated relMSE over samples a pixel">{"".join(marks)}'
