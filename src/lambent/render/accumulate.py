@@ -221,7 +221,8 @@ def _moments_of(frame: Frame, groups: tuple[Group, ...]) -> Moments:
         halves = np.full(shape, (spp + 1) // 2, np.float32)
     else:
         dropped = round(spp * count.size - float(count.sum(dtype=np.float64)))
-    means, variances = [], []
+    means: list[Any] = []
+    variances: list[Any] = []
     for group in groups:
         for stat, into in ((Stat.MEAN, means), (Stat.VARIANCE, variances)):
             into.append(_layer_of(frame, group, stat))

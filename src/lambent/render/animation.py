@@ -184,7 +184,9 @@ class Stage:
         self.mi, self.scene, self.sensor, self.animation = mi, scene, sensor, animation
         self._sensor_params = mi.traverse(sensor)
         self._camera = np.array(self._sensor_params["to_world"].matrix, float).reshape(4, 4)
-        self._fov = self._sensor_params["x_fov"] if "x_fov" in self._sensor_params else None
+        self._fov = None
+        if "x_fov" in self._sensor_params:  # Mitsuba's own mapping has no get
+            self._fov = self._sensor_params["x_fov"]
         self._params = mi.traverse(scene)
         self._rest: dict[str, Any] = {}
         self._ids = [shape.id() for shape in scene.shapes()]

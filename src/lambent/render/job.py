@@ -385,7 +385,7 @@ def _animation(
 
 def frames_of(animation: str | os.PathLike[str] | None, scene: Any) -> tuple[int, ...] | None:
     """The frames that an animation file speaks of, for ``--frames all``; None without one."""
-    path = animation
+    path = None if animation is None else Path(animation)
     if path is None and isinstance(scene, (str, os.PathLike)):
         beside = Path(scene).with_suffix(".toml")
         path = beside if beside.exists() else None
