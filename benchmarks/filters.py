@@ -48,7 +48,14 @@ COLUMNS: dict[str, tuple[str, str]] = {
 APART = ("soft-shadow",)
 #: What is known from the papers: the first has the lower error. The papers leave out the worst
 #: 0.1 % of the pixels.
-KNOWN_ORDER = (("nfor", "nlm"), ("statmc", "nlm"), ("nlm", "atrous"))
+KNOWN_ORDER = (
+    ("nfor", "nlm"),
+    ("nfor-tuned", "nlm"),
+    ("statmc", "nlm"),
+    ("statmc-tuned", "nlm"),
+    ("nlm", "atrous"),
+    ("nlm", "atrous-tuned"),
+)
 
 
 # ---------------------------------------------------------------------- worker

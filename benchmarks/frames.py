@@ -9,7 +9,8 @@ moments that the statistical filter reads; ``<name>-reference.exr`` holds colour
 Everything is box filtered. A reference grows in passes whose sums are kept beside it, so that a
 stopped run goes on where it was and a larger ``--reference-spp`` adds to what there is.
 ``--tent NAME`` adds a frame of Mitsuba's own film with a splatted tent filter, 16 spp.
-Existing files are kept. Needs ``mitsuba`` (``pip install lambent[bench]``).
+Existing files are kept. ``benchmarks/scenes`` has two scenes of our own
+(``--scenes desk,arcade``). Needs ``mitsuba`` (``pip install lambent[bench]``).
 """
 
 from __future__ import annotations

@@ -305,8 +305,11 @@ def filters(height: int, width: int) -> list[tuple[str, str, Callable[[], Any]]]
         case("atrous", levels=LEVELS),
         case("nlm", radius=RADIUS),
         case("joint-nlm", radius=RADIUS),
+        case("atrous-tuned", levels=LEVELS),
         case("nfor"),
+        case("nfor-tuned"),
         case("statmc"),
+        case("statmc-tuned"),
     ]
 
 
