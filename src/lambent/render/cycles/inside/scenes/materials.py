@@ -319,7 +319,7 @@ def fog(dice: Dice, density: float) -> Any:
     """A thin medium, even or in clouds."""
     material, tree = _new("fog")
     amount: Any = density
-    if dice.chance(0.4):
+    if dice.chance(0.15):  # slow: Cycles marches through what is not even
         cloud = factor(tree, dice, dice.log(0.3, 1.0), "noise")
         amount = tree.math("MULTIPLY", tree.math("POWER", cloud, 3.0), 8 * density)
     colour = tuple(0.7 + 0.3 * c for c in dice.colour())

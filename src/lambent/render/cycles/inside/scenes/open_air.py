@@ -92,7 +92,7 @@ def court(dice: Dice) -> Layout:
                 spot_size=1.0,
             )
     if dice.chance(0.12):
-        dress(box((40, 40, 12), (0, 0, 5)), fog(dice, dice.log(0.005, 0.03)))
+        dress(box((40, 40, 12), (0, 0, 5)), fog(dice, dice.log(0.004, 0.015)))
     return Layout("court", (0, 0, 1.2), 4.0, None, (0.4, 6.0))
 
 
