@@ -40,6 +40,8 @@ def describe(bsdf: Any, si: Any, active: Any) -> Surface:
 
     Called once for each BSDF of the scene while a kernel is recorded (`drjit.dispatch`).
     """
+    if bsdf is None:  # a scene without any surface
+        return Surface(mi.Color3f(0), mi.Color3f(0), mi.Float(0))
     kind = bsdf.class_name()
     handler = _HANDLERS.get(kind)
     if handler is None:
