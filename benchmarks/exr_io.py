@@ -12,9 +12,9 @@ A frame of 10 float channels (R G B, albedo, normal, depth) in several compressi
 - new file (ZIP only): `lambent.write` of a frame without a file, against ``File.write``.
 
 Both sides have the same number of threads. Target: at most 1.2x for decode and encode. Factors of
-processor time (user and system) hold on a busy machine too; those of wall time do not. Of each job the least of
-many turns counts. The module
-does not flush to the disk, so ours is shown without the flush too; ``--flush`` times it.
+processor time (user and system) hold on a busy machine too; those of wall time do not. Of each job
+the least of many turns counts. The module does not flush to the disk, so ours is shown without the
+flush too; ``--flush`` times it.
 ``--memory`` measures the peak of reading an 8192x4320 file in processes of their own.
 
 Usage: python benchmarks/exr_io.py [--width 1280 --height 720 --rounds 12] [--flush] [--memory]

@@ -128,7 +128,7 @@ def test_completion_offers_models_and_roles():
         ("lambent de", ["denoise"]),
         ("lambent denoise --model oidn-b", ["oidn-balanced", "oidn-best"]),
         ("lambent denoise --map rough", ["roughness="]),
-        ("lambent models nf", ["nfor"]),
+        ("lambent models nf", ["nfor", "nfor-tuned"]),
     ],
 )
 def test_bash_completes_commands_models_and_roles(words, expected):

@@ -90,7 +90,7 @@ def test_a_margin_too_small_would_show():
 
 @pytest.mark.parametrize(
     ("text", "size"),
-    [("4G", 2**32), ("512M", 2**29), ("1.5GiB", 3 * 2**29), ("1 kb", 1024), ("4096", 4096)],
+    [("4G", 2**32), ("512M", 2**29), ("1.5GiB", 3 * 2**29), ("1 kb", 1024), ("4294967296", 2**32)],
 )
 def test_sizes_are_read(text, size):
     assert parse_size(text) == size
@@ -100,6 +100,13 @@ def test_sizes_are_read(text, size):
 def test_sizes_that_make_no_sense_are_refused(text):
     with pytest.raises(OptionError, match="no size of memory"):
         parse_size(text)
+
+
+def test_a_forgotten_unit_is_asked_for():
+    with pytest.raises(OptionError, match="4 bytes") as told:
+        parse_size("4")
+    assert "4G" in str(told.value.remedy)
+    assert parse_size(4096) == 4096  # a number in a program is bytes
 
 
 def test_sizes_are_shown_as_people_write_them():

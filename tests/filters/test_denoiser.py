@@ -7,7 +7,9 @@ import pytest
 
 import lambent
 from lambent.errors import OptionError, UnknownNameError
-from lambent.filters.denoiser import DENOISERS, FARTHEST, create
+from lambent.filters.denoiser import DENOISERS, FARTHEST, choose_passes, create
+from lambent.frame.frame import Frame
+from lambent.frame.role import Role
 
 
 def test_a_window_that_could_never_be_compiled_is_refused() -> None:
@@ -38,3 +40,10 @@ def test_numbers_that_mean_nothing_are_refused(name: str, value: object) -> None
 def test_an_array_of_integers_is_no_radiance() -> None:
     with pytest.raises(OptionError, match="uint8 is no linear radiance"):
         lambent.denoise(np.zeros((4, 4, 3), np.uint8), model="box")
+
+
+def test_no_pass_is_not_all_passes():
+    frame = Frame.from_arrays(colour=np.ones((4, 4, 3), np.float32))
+    with pytest.raises(OptionError, match="no pass"):
+        create("box")(frame, passes=" ")
+    assert [layer.role for layer in choose_passes(frame, "all")] == [Role.COLOUR]

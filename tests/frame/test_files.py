@@ -379,3 +379,9 @@ def test_nan_outside_what_was_filtered_stays(tmp_path: Path) -> None:
         same = after[name].tobytes() == plane.tobytes()
         assert same == (name not in ("R", "G", "B")), name
     assert np.isfinite(after["R"]).all()
+
+
+def test_swapped_arguments_of_write_are_told(tmp_path):
+    frame = Frame.from_arrays(colour=np.ones((4, 4, 3), np.float32))
+    with pytest.raises(OptionError, match="path and then a frame"):
+        write(frame, tmp_path / "a.exr")

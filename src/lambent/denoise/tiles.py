@@ -75,6 +75,10 @@ class Plan:
         )
 
 
+#: A bare number below this is a forgotten unit.
+_LEAST = 1 << 20
+
+
 def parse_size(text: str | int) -> int:
     """``"4G"``, ``"512 MB"``, ``"1.5GiB"`` or a number of bytes, to bytes (binary units).
 
@@ -85,6 +89,11 @@ def parse_size(text: str | int) -> int:
     else:
         match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(?:i?b)?\s*", text.lower())
         size = int(float(match[1]) * _UNITS[match[2]]) if match else 0
+    if isinstance(text, str) and text.strip().isdigit() and 0 < size < _LEAST:
+        raise OptionError(
+            f"'{text}' without a unit is {size} bytes of memory, in which nothing can be done",
+            remedy=f"write it with a unit: {text.strip()}G, or {text.strip()}M",
+        )
     if size <= 0:
         raise OptionError(
             f"'{text}' is no size of memory", remedy="write it like 4G, 512M or 1.5GiB"

@@ -172,6 +172,8 @@ def choose_passes(frame: Frame, passes: str | Iterable[str] = "all") -> list[Lay
             return [beauty]
         if passes == "all":
             return [beauty, *lighting.values()]
+        if not passes.strip(" ,"):
+            raise OptionError("no pass is named", remedy="take 'beauty', 'all' or names of layers")
         passes = [p.strip() for p in passes.split(",") if p.strip()]
     by_name = dict(lighting)
     if alpha is not None:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from lambent.errors import FileError, LayerError, OutputError
+from lambent.errors import FileError, LayerError, OptionError, OutputError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import kind_of
@@ -115,6 +115,12 @@ def write_noted(
     attributes: Mapping[str, str] | None = None,
 ) -> Written:
     """Like `write`, and says in sentences what a person should know."""
+    if not isinstance(frame, Frame) or not isinstance(path, (str, os.PathLike)):
+        raise OptionError(
+            f"write takes a path and then a frame, not {type(path).__name__} and "
+            f"{type(frame).__name__}",
+            remedy="call write(path, frame)",
+        )
     kind = _target_kind(path)
     if kind != "exr":
         return Written(Path(path), _write_image(path, kind, frame, overwrite))

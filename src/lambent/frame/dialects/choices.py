@@ -29,9 +29,11 @@ def asked_for(
         if not fitting:
             have = len(hits[0].channels)
             allowed = " or ".join(map(str, INFO[role].channels))
+            listed = ", ".join(shown(name) for _, name in hits[0].channels)
             raise LayerError(
-                f"{INFO[role].title} needs {allowed} channels, this has {have} "
-                f"({', '.join(shown(name) for _, name in hits[0].channels)})",
+                f"{INFO[role].title} cannot be read from channels of these names ({listed})"
+                if have in INFO[role].channels
+                else f"{INFO[role].title} needs {allowed} channels, this has {have} ({listed})",
                 file=file,
                 layer=hits[0].name,
                 remedy=f"name another layer: --map {role_name}=NAME",
