@@ -11,8 +11,9 @@ Compact, and exact where it counts:
 - A channel is half float where that keeps every value to half precision (11 bits), or the error is
   far below the channel's typical value; motion to 1/64 pixel. Else it is float32; nothing is
   clamped.
-- Variances are estimates that are off by tens of percent: 5 bits of their mantissa are kept
-  (1.6 %), in half floats where their range allows. The zeros compress away.
+- Variances are estimates that are off by tens of percent: 4 bits of their mantissa are kept
+  (3 %), in half floats where their range allows; the zeros compress away. Of all but the colour's,
+  the mean over the channels is stored, and read back as the variance of each.
 - What follows from other layers is not stored: specular = colour - diffuse, indirect = colour -
   direct, half_b = 2 colour - half_a, and likewise the specular albedo. Read back, the sums hold to
   float precision, and each layer to half precision of the colour; where rounding takes one below
@@ -44,7 +45,7 @@ from lambent.frame.role import INFO, Role, Space, Stat
 #: Part of the first header that says what the item is.
 ABOUT = "lambentItem"
 #: Bits of a variance's mantissa that are kept.
-VARIANCE_BITS = 5
+VARIANCE_BITS = 4
 #: The largest error of motion, in pixels.
 MOTION_ERROR = 1 / 64
 #: Largest value of a half.
@@ -154,6 +155,8 @@ def _planes(frame: Frame, is_target: bool) -> dict[str, NDArray[Any]]:
         if _left_out(frame, key, is_target):
             continue
         image = layer.data
+        if key[1] is Stat.VARIANCE and key[0] is not Role.COLOUR:
+            image = image.mean(axis=2, keepdims=True)
         pixels = _compact(image, *key)
         for n, name in enumerate(channel_names(Layer(key[0], image, key[1]), image.shape[2])):
             planes[name] = np.ascontiguousarray(pixels[:, :, n])
@@ -229,7 +232,7 @@ def _bases() -> dict[str, Key]:
     dot = np.zeros((1, 1, 1), np.float32)
     for role in Role:
         for stat in Stat:
-            for count in INFO[role].channels:
+            for count in {1, *INFO[role].channels} if INFO[role].channels else ():
                 for name in channel_names(Layer(role, dot, stat), count):
                     found[name] = (role, stat)
     return found
@@ -250,7 +253,9 @@ def _frame(part: ExrPart, about: Mapping[str, Any]) -> Frame:
     for key, channels in names.items():
         channels.sort(key=lambda name: _ORDER.get(name.rpartition(".")[2], 0))
         space = _space(key[0], about)
-        layers[key] = Layer(key[0], _Stored(part, channels), key[1], space=space)
+        alike = len(channels) == 1 and 3 in INFO[key[0]].channels
+        pixels = _Stored(part, channels, 3 if alike else 1)
+        layers[key] = Layer(key[0], pixels, key[1], space=space)
     for key, (whole, minus, factor) in DERIVED.items():
         if key not in layers and whole in layers and minus in layers:
             layers[key] = Layer(key[0], _Rest(layers[whole], layers[minus], factor), key[1])
@@ -267,13 +272,14 @@ def _space(role: Role, about: Mapping[str, Any]) -> Space | None:
 
 @dataclass(frozen=True)
 class _Stored:
-    """Channels of a part as one image, when asked for."""
+    """Channels of a part as one image, when asked for; one channel ``repeat`` times."""
 
     part: ExrPart
     names: Sequence[str]
+    repeat: int = 1
 
     def __call__(self) -> FloatImage:
-        planes = [self.part.channels[name].data for name in self.names]
+        planes = [self.part.channels[name].data for name in self.names] * self.repeat
         return np.stack(planes, axis=2).astype(np.float32)
 
 

@@ -29,7 +29,14 @@ from lambent.dataset.plan import (
     scene_seed,
 )
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import Scene, Source, UnfitSceneError, View
+from lambent.dataset.source import (
+    Scene,
+    Source,
+    UnfitSceneError,
+    View,
+    WholeScene,
+    Window,
+)
 from lambent.dataset.windows import Choice, choose
 from lambent.errors import LambentError
 from lambent.frame.frame import Frame
@@ -63,7 +70,7 @@ class Failed:
 class _Set:
     """A scene that is fit, with the crops that are to be cut from it: camera and choice of each."""
 
-    scene: Scene
+    scene: Scene | WholeScene
     attempt: int
     crops: tuple[tuple[int, Choice], ...]
     rejected: tuple[str, ...]
@@ -78,10 +85,10 @@ def produce(recipe: Recipe, source: Source, job: Job, phases: Phases) -> Iterato
     for index in sorted(job.items, key=lambda i: (found.crops[_place(recipe, job, i)][0], i)):
         start = time.perf_counter()
         camera, _ = found.crops[_place(recipe, job, index)]
-        if camera not in views:
+        if not isinstance(found.scene, WholeScene) and camera not in views:
             with phases("scene"):
                 views = {camera: found.scene.views(camera)}
-        item = _item(recipe, job, index, views[camera], found, phases)
+        item = _item(recipe, job, index, views.get(camera), found, phases)
         with phases("encode"):
             content = packed(item)
             sha = hashlib.sha256(content).hexdigest()
@@ -133,6 +140,9 @@ def _crops(
 ) -> tuple[tuple[int, Choice], ...]:
     """Camera and window of every item that the scene gives. Raises `UnfitSceneError`."""
     total = per_scene(recipe, job.what)
+    if isinstance(scene, WholeScene):
+        whole = Choice(Window(0, 0, recipe.crop), 0.0, 1.0)
+        return tuple((k % scene.cameras, whole) for k in range(total))
     number_of_cameras = min(cameras(recipe, job.what), scene.cameras)
     size = tuple(max(16, round(length * recipe.pilot_scale)) for length in recipe.view)
     pilots: dict[int, Frame] = {}
@@ -164,15 +174,14 @@ def _crops(
 def _item(recipe: Recipe, job: Job, index: int, views: Any, found: _Set, phases: Phases) -> Item:
     camera, choice = found.crops[_place(recipe, job, index)]
     spp = level_spp(recipe, job, index)
-    stills = []
-    for k, view in enumerate(views):
-        levels = []
-        for n, count in enumerate(spp):
-            with phases("noise levels"):
-                seed = number(recipe, job.what, index, k, "level", n)
-                levels.append(_sound(view.sample(choice.window, count, seed).frame()))
-        with phases("target"):
-            stills.append(Still(tuple(levels), _target(recipe, job, index, k, view, choice, spp)))
+    if isinstance(found.scene, WholeScene):
+        least = _least(recipe, job, spp)
+        stills = list(found.scene.stills(camera, recipe.crop, spp, least))
+        _ = [_sound(frame) for still in stills for frame in (*still.levels, still.target)]
+    else:
+        stills = [
+            _still(recipe, job, index, k, view, choice, spp, phases) for k, view in enumerate(views)
+        ]
     window = choice.window
     about = {
         "what": job.what,
@@ -196,6 +205,26 @@ def _item(recipe: Recipe, job: Job, index: int, views: Any, found: _Set, phases:
     return Item(tuple(stills), about)
 
 
+def _still(
+    recipe: Recipe, job: Job, index: int, frame: int, view: View, choice: Choice,
+    spp: tuple[int, ...], phases: Phases,
+) -> Still:  # fmt: skip
+    levels = []
+    for n, count in enumerate(spp):
+        with phases("noise levels"):
+            seed = number(recipe, job.what, index, frame, "level", n)
+            levels.append(_sound(view.sample(choice.window, count, seed).frame()))
+    with phases("target"):
+        target = _target(recipe, job, index, frame, view, choice, spp)
+    return Still(tuple(levels), target)
+
+
+def _least(recipe: Recipe, job: Job, spp: tuple[int, ...]) -> int:
+    """The samples per pixel that a target takes at least."""
+    wanted = recipe.target_spp if job.what == STILL else recipe.clip_target_spp
+    return max(wanted, round(recipe.target_over_level * max(spp)))
+
+
 def _target(
     recipe: Recipe,
     job: Job,
@@ -205,8 +234,7 @@ def _target(
     choice: Choice,
     spp: tuple[int, ...],
 ) -> Frame:
-    wanted = recipe.target_spp if job.what == STILL else recipe.clip_target_spp
-    least = max(wanted, round(recipe.target_over_level * max(spp)))
+    least = _least(recipe, job, spp)
     more = max(least // 2, 2)
     total, done = None, 0
     for step in range(1 << 20):

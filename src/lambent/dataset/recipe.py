@@ -43,7 +43,7 @@ class Recipe:
     expected mean is ``mean_spp``. The target takes ``target_spp`` and at least
     ``target_over_level`` times the highest level, then more until its expected relMSE is
     ``target_error`` or it has ``target_most`` spp. ``uniform``: share of the crops that are chosen
-    without looking at what is in them.
+    without looking at what is in them. ``vary``: change materials and lights of scene files.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Recipe:
     mean_spp: float = 24.0
     target_spp: int = 128
     target_most: int = 256
-    target_error: float = 0.002
+    target_error: float = 0.05
     target_over_level: float = 2.0
     depth: int = 12
     clips_per_scene: int = 2
@@ -75,7 +75,7 @@ class Recipe:
     pilot_spp: int = 4
     pilot_scale: float = 0.5
     uniform: float = 0.3
-    variants: int = 8
+    vary: bool = True
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -166,7 +166,6 @@ _RANGES: tuple[tuple[str, float, float], ...] = (
     ("pilot_spp", 2, 4096),
     ("pilot_scale", 0.05, 1),
     ("uniform", 0, 1),
-    ("variants", 0, 10_000),
 )
 
 
@@ -214,7 +213,8 @@ def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
         wanted = "a list" if inner[-1] is ... else f"a list of {len(inner)}"
         raise OptionError(f"{key} = {value!r} should be {wanted}", file=file, remedy="see the docs")
     good = isinstance(value, (int, float) if kind is float else kind)
-    if not good or isinstance(value, bool):
-        word = {int: "a whole number", float: "a number", str: "a text"}[kind]
+    if not good or (isinstance(value, bool) and kind is not bool):
+        words = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
+        word = words[kind]
         raise OptionError(f"{key} = {value!r} should be {word}", file=file, remedy="see the docs")
     return kind(value)

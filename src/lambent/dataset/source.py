@@ -1,8 +1,8 @@
 """What a source of scenes is, and the table of them.
 
 A source makes scenes from seeds; a scene has cameras; a camera has one view, or one for each frame
-of a clip; a view renders a window of its picture, as `Samples` that add up. Nothing else is known
-here of renderers. Other packages join through the entry-point group ``lambent.sources``, and a
+of a clip; a view renders a window of its picture, as `Samples` that add up (or the scene gives
+whole stills, `WholeScene`). Nothing else is known here of renderers. Other packages join through the entry-point group ``lambent.sources``, and a
 recipe may name any ``"module:attribute"``.
 """
 
@@ -11,8 +11,9 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
+from lambent.dataset.item import Still
 from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
 from lambent.errors import LambentError, OptionError
@@ -63,6 +64,19 @@ class Scene(Protocol):
         """The views of a camera: one, or one for each frame of a clip."""
 
 
+@runtime_checkable
+class WholeScene(Protocol):
+    """A scene of a renderer that makes all pictures of an item in one go, with crops of its own."""
+
+    about: Mapping[str, Any]
+    cameras: int
+
+    def stills(
+        self, camera: int, edge: int, spp: Sequence[int], target_spp: int
+    ) -> tuple[Still, ...]:
+        """The stills of an item: noise levels of ``spp`` and the target, all independent."""
+
+
 class Source(Protocol):
     """Makes scenes. Called ``source(recipe, device, phases)`` to get one.
 
@@ -71,7 +85,7 @@ class Source(Protocol):
 
     licences: Sequence[str]
 
-    def scene(self, seed: int, job: int, frames: int) -> Scene:
+    def scene(self, seed: int, job: int, frames: int) -> Scene | WholeScene:
         """The scene of a seed. ``job`` is its number in the set, ``frames`` 1 for a still."""
 
     def versions(self) -> Mapping[str, str]:
