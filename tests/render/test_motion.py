@@ -65,7 +65,7 @@ def test_warped_albedo_and_position_are_those_of_the_frame(pair):
     steep = shown & (slope > 0.02)
     assert steep.sum() > 300
     assert np.median(apart[steep] / slope[steep]) < 0.1
-    # The wall stands still: its points, carried back, are where they are now, to a tenth of a pixel.
+    # The wall stands still: its points carried back are where they are, to a tenth of a pixel.
     wall = shown & (now["position"][..., 2] < -1.9)
     position, _ = warp(before["position"], now[Role.MOTION])
     step = np.abs(np.gradient(now["position"][..., 0], axis=1))[wall]

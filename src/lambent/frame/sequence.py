@@ -202,6 +202,11 @@ def format_range(numbers: Iterable[int]) -> str:
     return ",".join(pieces)
 
 
+def has_place(pattern: str) -> bool:
+    """Whether a name has a place for a frame number."""
+    return _PLACE.search(pattern) is not None
+
+
 def put_number(pattern: str, number: int) -> str:
     """A name from a pattern and a number; the last place in the pattern takes it."""
     place = list(_PLACE.finditer(pattern))[-1]

@@ -262,10 +262,9 @@ def _met(moments: Moments, goal: Goal, spent: float) -> bool:
 
 
 def _pass_spp(sampler: FrameSampler, goal: Goal, done: int, traced: int, spent: float) -> int:
-    """How many samples next: few at first, so that there is a picture soon."""
+    """How many samples next: few at first, so that there is a picture soon, then twice as many."""
     width, height = sampler.size
-    most = max(1, PASS_PATHS // (width * height))
-    spp = min(most, 4 if done == 0 and most > 4 else most)
+    spp = min(max(1, PASS_PATHS // (width * height)), max(4, done))
     if goal.spp is not None:
         spp = min(spp, goal.spp - done)
     if goal.seconds is not None and traced and spent > 0:

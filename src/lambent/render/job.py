@@ -21,7 +21,7 @@ from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role
-from lambent.frame.sequence import put_number
+from lambent.frame.sequence import has_place, put_number
 from lambent.render.accumulate import (
     ATTRIBUTE,
     Goal,
@@ -148,7 +148,7 @@ def render_all(
         if moving is not None:
             raise OptionError("an animation needs frames", remedy="give --frames 1-24")
         return [job.picture(None, None if output is None else Path(output))]
-    if output is not None and put_number(str(output), 1) == put_number(str(output), 2):
+    if output is not None and not has_place(str(output)):
         raise OutputError(
             "has no place for a frame number", file=output, remedy="take -o shot.####.exr"
         )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -213,3 +216,37 @@ def test_not_for_blender(process, tmp_path: Path) -> None:
     bad.write_bytes(b"BLENDER17-01v0500" + b"\0" * 100)
     with pytest.raises(DamagedFileError, match="cannot open"):
         render_blend(bad, process=process)
+
+
+def test_time_limit(blend, process) -> None:
+    """A picture ends when the time is up, and tells how many samples it has."""
+    frame = render_blend(
+        blend("still"), spp=100000, time=1.0, size=(64, 48), device="cpu", process=process
+    )
+    assert 1 <= frame.spp < 100000
+    assert "The time was up" in " ".join(frame.notes)
+
+
+def test_killed_lambent_leaves_no_blender(blend, tmp_path: Path) -> None:
+    """`kill -9` on the way: Blender ends by itself, with its scratch folder; no output file."""
+    code = (
+        "import sys; from lambent.render.cycles.blend import render_blend_frames\n"
+        "from lambent.render.cycles.process import BlenderProcess\n"
+        "p = BlenderProcess(); p.start(); print(p.pid, p.scratch, flush=True)\n"
+        "list(render_blend_frames(sys.argv[1], None, output=sys.argv[2], spp=100000, process=p))\n"
+    )
+    out = tmp_path / "out.exr"
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code, str(blend("still")), str(out)], stdout=subprocess.PIPE
+    )
+    pid, scratch = parent.stdout.readline().split()
+    time.sleep(2)
+    parent.kill()
+    parent.wait()
+    for _ in range(100):
+        if not Path(f"/proc/{int(pid)}").exists():
+            break
+        time.sleep(0.1)
+    assert not Path(f"/proc/{int(pid)}").exists()
+    assert not Path(scratch.decode()).exists()
+    assert not list(tmp_path.iterdir())
