@@ -105,6 +105,6 @@ class Studio:
     def _watch(self, text: str, *_: Any) -> None:
         """Called by Blender with its status line."""
         match = _SAMPLE.search(text)
-        if match and int(match.group(1)) != self._now:
+        if match and int(match.group(1)) > self._now:  # it ends with a 0 again
             self._now = int(match.group(1))
             self._send("progress", done=self._before + self._now, total=self._total, text=text)

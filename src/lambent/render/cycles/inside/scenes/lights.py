@@ -103,7 +103,8 @@ def key_lights(dice: Dice, centre: Sequence[float], radius: float, watts: float 
     """
     watts *= radius * radius
     for n in range(dice.whole(1, 3)):
-        angle, height = dice.uniform(0, 2 * math.pi), dice.uniform(0.5, 2.0)
+        # From the sides and the front (-y): behind the subject there may be a wall.
+        angle, height = dice.uniform(-math.pi - 0.35, 0.35), dice.uniform(0.5, 2.0)
         eye = [
             centre[0] + 2.0 * radius * math.cos(angle),
             centre[1] + 2.0 * radius * math.sin(angle),
