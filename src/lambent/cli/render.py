@@ -106,6 +106,9 @@ def render(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
     ] = False,
+    checkpoint: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Write the picture so far after this time.")
+    ] = 60.0,
     report: Annotated[
         bool, typer.Option("--report", help="Write a page that shows the picture as it grows.")
     ] = False,
@@ -156,6 +159,7 @@ def render(
             parameters=definitions(define),
             resume=resume,
             overwrite=overwrite,
+            checkpoint=checkpoint,
             device=device,
             report=tell,
             report_cycles=progress.report,

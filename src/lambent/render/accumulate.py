@@ -112,10 +112,12 @@ def accumulate(
     start: Moments | None = None,
     report: Callable[[State], None] | None = None,
     checkpoint: Callable[[Moments], None] | None = None,
+    every: float = CHECKPOINT_SECONDS,
 ) -> Moments:
     """Trace passes until the goal is met; ``start`` is what there is already.
 
-    ``report`` is called after every pass, ``checkpoint`` once a minute. On Ctrl-C the samples so
+    ``report`` is called after every pass, ``checkpoint`` after
+    ``every`` seconds (a minute). On Ctrl-C the samples so
     far are handed to ``checkpoint`` before `KeyboardInterrupt` goes on.
     """
     moments, began = start, time.monotonic()
@@ -134,9 +136,7 @@ def accumulate(
             now = time.monotonic()
             if report:
                 report(_state(moments, goal, traced, now - began, start))
-            if checkpoint and now - saved_at > max(
-                CHECKPOINT_SECONDS, save_seconds / CHECKPOINT_SHARE
-            ):
+            if checkpoint and now - saved_at > max(every, save_seconds / CHECKPOINT_SHARE):
                 checkpoint(moments)
                 saved_at, save_seconds = time.monotonic(), time.monotonic() - now
     except KeyboardInterrupt:

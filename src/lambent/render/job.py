@@ -24,6 +24,7 @@ from lambent.frame.role import Role
 from lambent.frame.sequence import has_place, put_number
 from lambent.render.accumulate import (
     ATTRIBUTE,
+    CHECKPOINT_SECONDS,
     Goal,
     Stamp,
     State,
@@ -86,6 +87,7 @@ def render_all(
     parameters: Mapping[str, Any] | None = None,
     resume: bool = False,
     overwrite: bool = False,
+    checkpoint: float = CHECKPOINT_SECONDS,
     device: str = "auto",
     report: Callable[[int | None, State], None] | None = None,
     report_cycles: Callable[..., None] | None = None,
@@ -99,8 +101,9 @@ def render_all(
     relMSE. ``integrator``: "path" (ours), "scene" (the scene's own), a plug-in's name, or an
     integrator. ``animation``: a TOML file of keyframes or a function ``frame -> Pose``; for a
     scene file the ``.toml`` beside it is taken when ``frames`` are asked for. ``resume``: go on
-    with what ``output`` holds. ``report(number, state)`` is called after every pass, ``note`` with
-    remarks, ``written`` after every checkpoint.
+    with what ``output`` holds. ``checkpoint``: seconds after which ``output`` is written again.
+    ``report(number, state)`` is called after every pass, ``note`` with remarks, ``written`` after
+    every checkpoint.
     Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.
     """
     if isinstance(source, (str, os.PathLike)) and str(source).endswith(".blend"):
@@ -140,6 +143,7 @@ def render_all(
         light_groups,
         resume,
         overwrite,
+        checkpoint,
         report,
         say,
         written,
@@ -172,6 +176,7 @@ class _Job:
     light_groups: Mapping[str, Iterable[str]] | None
     resume: bool
     overwrite: bool
+    every: float
     report: Callable[[int | None, State], None] | None
     say: Callable[[str], None]
     written: Callable[[Path, Moments], None] | None
@@ -219,7 +224,13 @@ class _Job:
         # Different frames have different noise, as in every renderer.
         seed = self.seed * 1_000_003 + (number or 0)
         moments = accumulate(
-            sampler, goal, seed=seed, start=start, report=tell, checkpoint=keep if path else None
+            sampler,
+            goal,
+            seed=seed,
+            start=start,
+            report=tell,
+            checkpoint=keep if path else None,
+            every=self.every,
         )
         if moments.dropped:
             self.say(
