@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from lambent.dataset.recipe import Recipe
+
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-
-from lambent.dataset.recipe import Recipe
 
 
 @pytest.fixture(autouse=True)

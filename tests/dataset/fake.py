@@ -29,8 +29,9 @@ def truth(seed: int, size: tuple[int, int], scale: float = 1.0, shift: float = 0
     albedo = np.stack([pattern * middle + 0.3 * (1 - middle)] * 3, -1) * [0.9, 0.7, 0.5]
     diffuse = albedo * lit[..., None] * rng.uniform(0.5, 2)
     specular = 0.2 * np.stack([pattern**4 * middle] * 3, -1)
-    normal = np.stack([np.sin(pattern), np.cos(pattern), np.zeros_like(pattern)], -1)
-    depth = (2 + pattern + x / full)[..., None]
+    tilt = pattern * middle
+    normal = np.stack([np.sin(tilt), np.cos(tilt), np.zeros_like(tilt)], -1)
+    depth = (2 + tilt)[..., None]
     return {
         Role.COLOUR: diffuse + specular,
         Role.DIFFUSE: diffuse,

@@ -38,8 +38,9 @@ class Verdict:
     """What `verify` found.
 
     ``good``: number of sound items. ``corrupt``: file and what is wrong with it; ``missing``: files
-    that have a line but are not there; ``strangers``: files that have no line. ``wanted``: how
-    many items the recipe asks for; fewer is no error.
+    that have a line but are not there; ``strangers``: files that have no line, save sound items
+    whose line was lost when their process was killed. ``wanted``: how many items the recipe asks
+    for; fewer is no error.
     """
 
     folder: Path
@@ -82,8 +83,9 @@ def verify(folder: Path, progress: Report = _silent) -> Verdict:
         elif wrong is not None:
             corrupt[file] = wrong
     known = {str(line.get("file")) for line in lines.values()}
-    strangers = tuple(f for f in files_in(folder) if f not in known and not is_leftover(f))
-    good = len(lines) - len(corrupt) - len(missing)
+    unlisted = [f for f in files_in(folder) if f not in known and not is_leftover(f)]
+    strangers = tuple(f for f in unlisted if not _is_item(folder, f, recipe))
+    good = len(lines) - len(corrupt) - len(missing) + len(unlisted) - len(strangers)
     wanted = recipe.count + recipe.clip_count
     return Verdict(folder, good, wanted, corrupt, tuple(missing), strangers)
 
@@ -148,6 +150,11 @@ def missing_items(recipe: Recipe, lines: dict[ItemKey, Line]) -> dict[str, set[i
         what: {n for n in range(count) if (what, n) not in lines}
         for what, count in ((STILL, recipe.count), (CLIP, recipe.clip_count))
     }
+
+
+def _is_item(folder: Path, file: str, recipe: Recipe) -> bool:
+    key = key_of(file)
+    return key is not None and _adopted(folder, file, key, recipe) is not None
 
 
 def _quick(folder: Path, line: Line) -> str | None:

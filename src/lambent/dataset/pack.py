@@ -210,8 +210,8 @@ def _half_or_not(
     finite = np.isfinite(image)
     if not np.isfinite(half[finite]).all():
         return image
-    size = np.where(finite, np.abs(image), 0)
-    error = np.where(finite, np.abs(half.astype(np.float32) - image), 0)
+    sound = np.where(finite, image, 0)
+    size, error = np.abs(sound), np.abs(np.where(finite, half, 0).astype(np.float32) - sound)
     return half if (error <= allowed(size)).all() else image
 
 

@@ -21,7 +21,7 @@ from lambent.dataset.phases import Phases
 from lambent.dataset.plan import CLIP, STILL, Job, number, per_scene, scene_seed
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import open_source
+from lambent.dataset.source import WholeScene, open_source
 from lambent.errors import FileError
 from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
@@ -73,7 +73,10 @@ def preview_recipe(
         try:
             scene = source.scene(seed, n, frames)
             camera = number(recipe, "preview", n) % max(1, scene.cameras)
-            frame = scene.views(camera)[-1].pilot(size, spp, seed)
+            if isinstance(scene, WholeScene):
+                frame = scene.stills(camera, size[1], (1,), max(spp, 16))[-1].target
+            else:
+                frame = scene.views(camera)[-1].pilot(size, spp, seed)
         except Exception as error:  # a preview is to show that, too
             blank = np.full((size[1], size[0], 3), 60, np.uint8)
             tiles.append(Tile((blank,), f"{seed}: {type(error).__name__}: {error}"))

@@ -136,7 +136,7 @@ def _find(recipe: Recipe, source: Source, job: Job, phases: Phases) -> _Set:
 
 
 def _crops(
-    recipe: Recipe, job: Job, scene: Scene, attempt: int, phases: Phases
+    recipe: Recipe, job: Job, scene: Scene | WholeScene, attempt: int, phases: Phases
 ) -> tuple[tuple[int, Choice], ...]:
     """Camera and window of every item that the scene gives. Raises `UnfitSceneError`."""
     total = per_scene(recipe, job.what)

@@ -1,9 +1,9 @@
 """What a source of scenes is, and the table of them.
 
 A source makes scenes from seeds; a scene has cameras; a camera has one view, or one for each frame
-of a clip; a view renders a window of its picture, as `Samples` that add up (or the scene gives
-whole stills, `WholeScene`). Nothing else is known here of renderers. Other packages join through the entry-point group ``lambent.sources``, and a
-recipe may name any ``"module:attribute"``.
+of a clip; a view renders a window of its picture, as `Samples` that add up. Or the scene gives
+whole stills (`WholeScene`). Nothing else is known here of renderers. Other packages join through
+the entry-point group ``lambent.sources``, and a recipe may name any ``"module:attribute"``.
 """
 
 from __future__ import annotations
