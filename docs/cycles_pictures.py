@@ -39,7 +39,7 @@ def main() -> None:
             picture = Image.fromarray(to_uint8(colour, auto_exposure(colour)))
             sheet.paste(picture, (n % COLUMNS * cell, n // COLUMNS * cell))
             print(view.seed, view.kind, f"{view.seconds:.1f} s", flush=True)
-    sheet.save(chosen.out, quality=82, optimize=True)
+    sheet.save(chosen.out, quality=55, optimize=True)
     print("wrote", chosen.out)
 
 
