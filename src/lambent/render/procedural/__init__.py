@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lambent.render.procedural.stage import Stage
 
 #: Kinds of scenes, and how often each comes up.
-_SHARES = {"room": 0.36, "still_life": 0.24, "open": 0.18, "hall": 0.12, "studio": 0.1}
+_SHARES = {"room": 0.32, "still_life": 0.22, "open": 0.2, "hall": 0.14, "studio": 0.12}
 
 #: The names of the kinds.
 KINDS: tuple[str, ...] = tuple(_SHARES)
@@ -41,7 +41,13 @@ def _maker(kind: str) -> Callable[[Stage], list[CameraPlan]]:
     from lambent.render.procedural.still_life import still_life
     from lambent.render.procedural.studio import studio
 
-    makers = {"room": room, "still_life": still_life, "open": landscape, "hall": hall, "studio": studio}
+    makers = {
+        "room": room,
+        "still_life": still_life,
+        "open": landscape,
+        "hall": hall,
+        "studio": studio,
+    }
     return makers[kind]
 
 

@@ -41,6 +41,7 @@ def choose(
     """
     low = np.array([b[0] for b in boxes])
     high = np.array([b[1] for b in boxes])
+    things = (high - low).max(1) < 6 * clearance  # the others are walls, floors, the house
     found: list[tuple[float, CameraPlan, Array]] = []
     for attempt in range(tries):
         origin, target = candidate(rng)
@@ -52,15 +53,15 @@ def choose(
         if np.any(np.all((origin > low - inflated) & (origin < high + inflated), -1)):
             continue
         distance, seen = _look(pose, length, low, high)
-        score = _score(distance, seen, clearance * slack, background)
+        score = _score(distance, seen, things, clearance * slack, background)
         if score <= 0:
             continue
         middle = distance[_GRID[0] // 2, _GRID[1] // 2]
         focus = float(middle if np.isfinite(middle) else np.linalg.norm(target - origin))
         radius = 0.0
         if rng.random() < lens:
-            stop = np.exp(rng.uniform(np.log(1.2), np.log(8)))
-            radius = float(np.clip(length / 2000 / stop, 0, 0.03 * focus))
+            stop = np.exp(rng.uniform(np.log(1.8), np.log(11)))
+            radius = float(np.clip(length / 2000 / stop, 0, 0.012 * focus))
         found.append((score, CameraPlan(pose, length, radius, max(focus, 0.05), medium), origin))
     found.sort(key=lambda f: -f[0])
     kept: list[tuple[float, CameraPlan, Array]] = []
@@ -99,18 +100,22 @@ def _look(pose: Array, length: float, low: Array, high: Array) -> tuple[Array, A
     return distance, np.where(np.isfinite(distance), number, -1)
 
 
-def _score(distance: Array, seen: Array, clearance: float, background: bool) -> float:
+def _score(
+    distance: Array, seen: Array, things: Array, clearance: float, background: bool
+) -> float:
     size = distance.size
     if (distance < clearance).mean() > 0.04 or distance.min() < 0.3 * clearance:
         return 0.0
     missed = float((seen < 0).mean())
     if missed > (0.6 if background else 0.25):
         return 0.0
-    _, counts = np.unique(seen, return_counts=True)
-    if len(counts) < 3:
+    numbers, counts = np.unique(seen, return_counts=True)
+    is_thing = (numbers >= 0) & things[numbers]
+    on_things = counts[is_thing].sum() / size
+    if len(counts) < 3 or is_thing.sum() < 2 or on_things < 0.08:
         return 0.0
     share = counts / size
     spread = -float((share * np.log(share)).sum())
     finite = distance[np.isfinite(distance)]
     depth = float(np.log(np.percentile(finite, 90) / np.percentile(finite, 10) + 1e-6))
-    return spread + 0.3 * min(depth, 2)
+    return spread + 0.3 * min(depth, 2) + min(float(on_things), 0.4)

@@ -66,5 +66,3 @@ def irradiance(stage: Stage, at: Array) -> float:
             share = 2 * np.pi * (1 - np.cos(np.radians(float(e.values.get("cutoff", 30)) * 0.85)))  # type: ignore[arg-type]
         total += flux(e, shape) / share * level / max(distance, 0.05) ** 2
     return total
-
-

@@ -6,6 +6,8 @@ are metres and near those of real furniture.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from lambent.render.procedural import surfaces as sf
@@ -196,7 +198,7 @@ def shelf(rng: Rng, w: float, h: float, d: float = 0.3) -> list[Part]:
     if rng.random() < 0.6:
         frame.append(box(w, 0.01, h).moved(translate(0, d / 2, 0)))
     parts.append((merge(frame), role))
-    for z, above in zip(levels[:-1], levels[1:], strict=True):
+    for z, above in itertools.pairwise(levels):
         x = -w / 2 + 0.04
         gap = above - z - t
         while x < w / 2 - 0.15:

@@ -130,12 +130,13 @@ def grid(points: Array, uv: Array, *, around: bool = False, flip: bool = False) 
         closed = np.concatenate([points[:, -2:-1], points, points[:, 1:2]], 1)
         across = (closed[:, 2:] - closed[:, :-2]) / 2
     normals = np.cross(across, np.gradient(points, axis=0))
-    length = np.linalg.norm(normals, axis=-1)
-    flat = length < 1e-12  # the poles: take the neighbouring row's
-    if flat.any():
-        for row, near in ((0, 1), (rows - 1, rows - 2)):
-            if flat[row].any():
-                normals[row] = unit(normals[near]).mean(0)
+    flat = np.linalg.norm(normals, axis=-1) < 1e-12
+    if flat.any() and not flat.any(1).all():  # poles, and where a profile runs along the axis
+        good = np.flatnonzero(~flat.any(1))
+        for row in np.flatnonzero(flat.any(1)):
+            ring = unit(normals[good[np.abs(good - row).argmin()]])
+            middle = ring.mean(0)
+            normals[row] = middle if np.linalg.norm(middle) > 1e-6 else ring
     normals = unit(normals)
     if flip:
         faces, normals = faces[:, ::-1], -normals
@@ -180,7 +181,10 @@ def box(x: float, y: float, z: float, bevel: float = 0.0) -> Geometry:
 
 def _bevels(half: Array, b: float) -> Geometry:
     """Edge strips and corner triangles of a bevelled box, with the smooth normals of a round."""
-    positions, normals, uv, faces = [], [], [], []
+    positions: list[Array] = []
+    normals: list[Array] = []
+    uv: list[Array] = []
+    faces: list[NDArray[np.int64]] = []
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
         for su in (1.0, -1.0):
@@ -335,9 +339,10 @@ def _fan(ring: Array, sign: float) -> Geometry:
 def faceted(positions: Array, faces: NDArray[np.int64]) -> Geometry:
     """A mesh with one flat normal a face (vertices are not shared)."""
     corners = positions[faces]
-    normal = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    p = corners.reshape(-1, 3)
-    n = np.repeat(normal, 3, 0)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    kept = np.linalg.norm(area, axis=1) > 1e-10
+    p = corners[kept].reshape(-1, 3)
+    n = np.repeat(unit(area[kept]), 3, 0)
     major = np.argmax(np.abs(n), -1)
     uv = np.where(
         major[:, None] == 0, p[:, [1, 2]], np.where(major[:, None] == 1, p[:, ::2], p[:, :2])

@@ -1,4 +1,4 @@
-"""Halls: galleries, arcades, workshops; columns, pedestals, stairs, light from above or in spots."""
+"""Halls: galleries and arcades with columns, pedestals, stairs, lit from above or by spots."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ def hall(stage: Stage) -> list[CameraPlan]:
     """A large interior; returns the cameras."""
     rng = stage.rng
     w, d, h = rng.uniform(6, 11), rng.uniform(8, 16), rng.uniform(3.4, 6)
-    light = str(rng.choice(["skylight", "windows", "spots", "panels", "neon"], p=[0.27, 0.2, 0.22, 0.16, 0.15]))
+    light = str(
+        rng.choice(
+            ["skylight", "windows", "spots", "panels", "neon"], p=[0.27, 0.2, 0.22, 0.16, 0.15]
+        )
+    )
     stage.tags.add(light)
     opening = _shell(stage, w, d, h, light)
     floor = Floor(w - 0.6, d - 0.6)
@@ -45,7 +49,9 @@ def hall(stage: Stage) -> list[CameraPlan]:
         target = np.array([*(r.uniform(-0.4, 0.4, 2) * [w, d]), r.uniform(0.4, 2.0)])
         return origin, target
 
-    return cameras.choose(rng, stage.boxes, candidate, clearance=0.7, focal=(18, 60), medium=fog, lens=0.25)
+    return cameras.choose(
+        rng, stage.boxes, candidate, clearance=0.7, focal=(18, 60), medium=fog, lens=0.25
+    )
 
 
 def _shell(stage: Stage, w: float, d: float, h: float, light: str) -> float:
@@ -59,28 +65,45 @@ def _shell(stage: Stage, w: float, d: float, h: float, light: str) -> float:
         holes = []
         if light == "windows" and side in (1, 3 if rng.random() < 0.3 else 1):
             n = int(length / 2.4)
-            holes = [((k + 0.5) / n * length - length / 2 - 0.55, (k + 0.5) / n * length - length / 2 + 0.55, 0.6, h - 0.6)
-                     for k in range(n)]  # fmt: skip
+            holes = [
+                (
+                    (k + 0.5) / n * length - length / 2 - 0.55,
+                    (k + 0.5) / n * length - length / 2 + 0.55,
+                    0.6,
+                    h - 0.6,
+                )
+                for k in range(n)
+            ]
         opening += sum((b - a) * (f - e) for a, b, e, f in holes)
-        stage.add([(wall_with_holes(length + 0.44, h, holes), "wall" if side != 0 else "wall_accent")], pose, solid=False)
+        stage.add(
+            [(wall_with_holes(length + 0.44, h, holes), "wall" if side != 0 else "wall_accent")],
+            pose,
+            solid=False,
+        )
         slab = box(length, 0.2, h).moved(pose @ translate(0, 0.1, 0))
         stage.boxes.append(slab.bounds)
     top = translate(0, 0, h) @ rotate("x", np.pi / 2)
     if light == "skylight":
         n = int(d / 2.5)
-        holes = [(-w * 0.2, w * 0.2, (k + 0.5) / n * d - 0.7, (k + 0.5) / n * d + 0.7) for k in range(n)]
-        strips = []
-        for _, _, z0, z1 in holes:
-            strips.append(wall_with_holes(w + 0.4, d / n, [(-w * 0.2, w * 0.2, (d / n) / 2 - 0.7, (d / n) / 2 + 0.7)]))
+        hole = (-w * 0.2, w * 0.2, d / n / 2 - 0.7, d / n / 2 + 0.7)
+        strips = [wall_with_holes(w + 0.4, d / n, [hole])] * n
         roof = merge([s.moved(translate(0, 0, k * d / n)) for k, s in enumerate(strips)])
         stage.add([(roof.moved(translate(0, d / 2, 0.0) @ top), "ceiling")], solid=False)
         opening += n * 1.4 * w * 0.4
-        beams = [box(w, 0.1, 0.2).moved(translate(0, (k + 0.5) / n * d - d / 2, h - 0.25)) for k in range(n)]
+        beams = [
+            box(w, 0.1, 0.2).moved(translate(0, (k + 0.5) / n * d - d / 2, h - 0.25))
+            for k in range(n)
+        ]
         stage.add([(merge(beams), str(rng.choice(["wood", "metal", "trim"])))], solid=False)
     else:
-        stage.add([(quad(w + 0.6, d + 0.6).moved(translate(0, 0, h) @ rotate("x", np.pi)), "ceiling")])
+        stage.add(
+            [(quad(w + 0.6, d + 0.6).moved(translate(0, 0, h) @ rotate("x", np.pi)), "ceiling")]
+        )
         if rng.random() < 0.5:
-            beams = [box(w, 0.2, 0.25).moved(translate(0, y, h - 0.25)) for y in np.arange(-d / 2 + 1, d / 2, 1.8)]
+            beams = [
+                box(w, 0.2, 0.25).moved(translate(0, y, h - 0.25))
+                for y in np.arange(-d / 2 + 1, d / 2, 1.8)
+            ]
             stage.add([(merge(beams), str(rng.choice(["wood", "metal", "trim"])))], solid=False)
     return opening
 
@@ -95,7 +118,12 @@ def _columns(stage: Stage, w: float, d: float, h: float) -> None:
 def _exhibits(stage: Stage, floor: Floor) -> None:
     rng = stage.rng
     for _ in range(int(rng.integers(5, 11))):
-        kind = str(rng.choice(["pedestal", "case", "large", "bench", "plant", "pile"], p=[0.38, 0.14, 0.2, 0.1, 0.1, 0.08]))
+        kind = str(
+            rng.choice(
+                ["pedestal", "case", "large", "bench", "plant", "pile"],
+                p=[0.38, 0.14, 0.2, 0.1, 0.1, 0.08],
+            )
+        )
         pose = floor.anywhere(rng, 1.3, 1.3)
         if pose is None:
             continue
@@ -106,7 +134,9 @@ def _exhibits(stage: Stage, floor: Floor) -> None:
             item = statue(rng, size) if rng.random() < 0.7 else thing(rng, size * 0.7)
             stage.add(item, pose @ translate(0, 0, h), movable="exhibit")
             if kind == "case":
-                stage.add([(box(0.48, 0.48, 0.7).moved(translate(0, 0, h)), "window")], pose, solid=False)
+                stage.add(
+                    [(box(0.48, 0.48, 0.7).moved(translate(0, 0, h)), "window")], pose, solid=False
+                )
         elif kind == "large":
             stage.add(statue(rng, rng.uniform(1.0, 2.0)), pose, movable="sculpture")
         elif kind == "bench":
@@ -116,7 +146,11 @@ def _exhibits(stage: Stage, floor: Floor) -> None:
         else:
             for k in range(int(rng.integers(2, 5))):
                 s = rng.uniform(0.3, 0.6)
-                at = pose @ translate(rng.normal(0, 0.2), rng.normal(0, 0.2), 0.5 * k * (k < 2)) @ rotate("z", rng.uniform(0, 3))
+                at = (
+                    pose
+                    @ translate(rng.normal(0, 0.2), rng.normal(0, 0.2), 0.5 * k * (k < 2))
+                    @ rotate("z", rng.uniform(0, 3))
+                )
                 stage.add([(box(s, s, s, 0.01), str(rng.choice(["wood", "lacquer", "rust"])))], at)
 
 
@@ -145,26 +179,57 @@ def _lamps(stage: Stage, w: float, d: float, h: float, light: str) -> None:
             at = np.array([rng.uniform(-0.3, 0.3) * w, ((k + 0.5) / 3 - 0.5) * d, h - 0.3])
             aim = np.array([rng.normal(0, 1), rng.normal(0, 0.6), -1.6])
             colour = neon(rng) if rng.random() < 0.15 else white(rng, rng.uniform(0.4, 0.8))
-            stage.light("spot", f"spots_{k}", colour, translate(*at) @ frame_to(aim), cutoff=float(rng.uniform(25, 55)))
+            stage.light(
+                "spot",
+                f"spots_{k}",
+                colour,
+                translate(*at) @ frame_to(aim),
+                cutoff=float(rng.uniform(25, 55)),
+            )
         for _ in range(2):
             x, y = rng.uniform(-0.4, 0.4, 2) * [w, d]
             stage.light("point", "bulbs", white(rng, 0.8) * 0.12, translate(x, y, h - 0.6))
-        stage.light("panel", "fill", white(rng, 0.4) * 0.1, translate(0, 0, h - 0.02) @ rotate("x", np.pi), (w * 0.3, d * 0.3, 1))
+        stage.light(
+            "panel",
+            "fill",
+            white(rng, 0.4) * 0.1,
+            translate(0, 0, h - 0.02) @ rotate("x", np.pi),
+            (w * 0.3, d * 0.3, 1),
+        )
     elif light == "panels":
         for k in range(4):
             size = (rng.uniform(0.2, 1.5), rng.uniform(0.2, 1.2))
-            pose = translate(rng.uniform(-0.2, 0.2) * w, ((k + 0.5) / 4 - 0.5) * d, h - 0.3) @ rotate("x", np.pi)
-            stage.light("panel", f"panels_{k % 2}", white(rng, 0.4) / (size[0] * size[1]), pose, (*size, 1))
+            pose = translate(
+                rng.uniform(-0.2, 0.2) * w, ((k + 0.5) / 4 - 0.5) * d, h - 0.3
+            ) @ rotate("x", np.pi)
+            stage.light(
+                "panel", f"panels_{k % 2}", white(rng, 0.4) / (size[0] * size[1]), pose, (*size, 1)
+            )
     elif light == "neon":
         for k in range(3):
             side = float(rng.choice([-1, 1]))
-            pose = translate(side * (w / 2 - 0.05), rng.uniform(-0.4, 0.4) * d, rng.uniform(0.6, h - 0.5)) @ rotate("y", -side * np.pi / 2)
+            pose = translate(
+                side * (w / 2 - 0.05), rng.uniform(-0.4, 0.4) * d, rng.uniform(0.6, h - 0.5)
+            ) @ rotate("y", -side * np.pi / 2)
             size = (rng.uniform(0.04, 0.1), rng.uniform(1, 3))
             stage.light("panel", f"neon_{k}", neon(rng) / (size[0] * size[1]), pose, (*size, 1))
-        line = along(np.array([[-w / 2, -d / 4, h - 0.4], [w / 2, d / 8, h - 0.4], [-w / 2, d / 3, h - 0.4]]), 0.6)
-        stage.light("string", "fairy_lights", white(rng, 0.9) * 60, np.eye(4), spots=line, bead=0.02)
-        stage.light("picture", "screen", white(rng, 0.2) * 1.5, translate(0, d / 2 - 0.03, 2) @ rotate("x", np.pi / 2),
-                    (2.6, 1.5, 1), image=to_bytes(screen(rng)))  # fmt: skip
+        line = along(
+            np.array(
+                [[-w / 2, -d / 4, h - 0.4], [w / 2, d / 8, h - 0.4], [-w / 2, d / 3, h - 0.4]]
+            ),
+            0.6,
+        )
+        stage.light(
+            "string", "fairy_lights", white(rng, 0.9) * 60, np.eye(4), spots=line, bead=0.02
+        )
+        stage.light(
+            "picture",
+            "screen",
+            white(rng, 0.2) * 1.5,
+            translate(0, d / 2 - 0.03, 2) @ rotate("x", np.pi / 2),
+            (2.6, 1.5, 1),
+            image=to_bytes(screen(rng)),
+        )
 
 
 def _expose(stage: Stage, light: str, opening: float, size: tuple[float, float, float]) -> None:
@@ -178,4 +243,4 @@ def _expose(stage: Stage, light: str, opening: float, size: tuple[float, float, 
     stage.environment(image, scale_out, 1.0 if opening > 0 else 0.02)
     power = np.pi * opening * scale_out * 0.8 + exposure.lamps_flux(stage)
     level = power * 0.5 / (np.pi * surface * 0.5)
-    stage.scale_lights(exposure.wish(rng) / max(level, 1e-9))
+    stage.scale_lights(2.6 * exposure.wish(rng) / max(level, 1e-9))

@@ -19,6 +19,7 @@ from lambent.render.procedural.geometry import (
     translate,
     tube,
 )
+from lambent.render.procedural.palette import SKY_SCALES
 from lambent.render.procedural.plan import CameraPlan, EmitterPlan, MediumPlan
 from lambent.render.procedural.room import wall_with_holes, window_frame
 from lambent.render.procedural.stage import Part, Stage
@@ -42,12 +43,18 @@ def tree(rng: np.random.Generator, height: float) -> list[Part]:
         a = rng.uniform(0, 2 * np.pi)
         reach = height * (0.34 * (1.2 - s) if conifer else rng.uniform(0.15, 0.32))
         rise = reach * (-0.2 if conifer else rng.uniform(0.3, 1.0))
-        end = base + [np.cos(a) * reach, np.sin(a) * reach, rise]
+        end = base + np.array([np.cos(a) * reach, np.sin(a) * reach, rise])
         path = base + (end - base) * t + np.array([0, 0, 0.1 * reach]) * np.sin(np.pi * t)
         limbs.append(tube(path, thick * 0.5 * (1.1 - t[:, 0]), 6))
         if not bare:
             r = reach * rng.uniform(0.5, 0.8)
-            crown = sf.foliage(rng, int(rng.integers(60, 160)), r, height * rng.uniform(0.05, 0.09), upright=-0.2 if conifer else 0.4)
+            crown = sf.foliage(
+                rng,
+                int(rng.integers(60, 160)),
+                r,
+                height * rng.uniform(0.05, 0.09),
+                upright=-0.2 if conifer else 0.4,
+            )
             crowns.append(crown.moved(translate(*(base * 0.25 + end * 0.75))))
     parts.append((merge(limbs), "wood"))
     if crowns:
@@ -70,19 +77,28 @@ def house(rng: np.random.Generator, w: float, d: float, h: float) -> list[Part]:
             holes.append((x - 0.5, x + 0.5, low, 2.2))
         ground = wall_with_holes(length, 2.8, holes)
         levels = [ground.moved(translate(0, 0, 2.8 * f)) for f in range(floors)]
-        parts.append((merge(levels).moved(pose @ rotate("z", np.pi) @ translate(0, -0.22, 0)), "facade"))
+        parts.append(
+            (merge(levels).moved(pose @ rotate("z", np.pi) @ translate(0, -0.22, 0)), "facade")
+        )
         for f in range(floors):
             for hole in holes:
                 for g, role in window_frame(rng, hole)[:1]:
                     turn = pose @ rotate("z", np.pi) @ translate(0, -0.22, 2.8 * f)
                     parts.append((g.moved(turn), role))
-                glass = quad(1.0, 2.2 - hole[2]).moved(translate((hole[0] + hole[1]) / 2, 0.1, (hole[2] + 2.2) / 2 + 2.8 * f) @ rotate("x", np.pi / 2))
-                parts.append((glass.moved(pose @ rotate("z", np.pi) @ translate(0, -0.22, 0)), "black"))
+                glass = quad(1.0, 2.2 - hole[2]).moved(
+                    translate((hole[0] + hole[1]) / 2, 0.1, (hole[2] + 2.2) / 2 + 2.8 * f)
+                    @ rotate("x", np.pi / 2)
+                )
+                parts.append(
+                    (glass.moved(pose @ rotate("z", np.pi) @ translate(0, -0.22, 0)), "black")
+                )
     top = 2.8 * floors
     if rng.random() < 0.6:
         rise = rng.uniform(0.8, 2.4)
         outline = np.array([[-d / 2 - 0.4, 0], [d / 2 + 0.4, 0], [0, rise]])
-        roof = extrude(outline, w + 0.6).moved(translate(-w / 2 - 0.3, 0, top) @ rotate("z", np.pi / 2) @ rotate("x", np.pi / 2))
+        roof = extrude(outline, w + 0.6).moved(
+            translate(-w / 2 - 0.3, 0, top) @ rotate("z", np.pi / 2) @ rotate("x", np.pi / 2)
+        )
         parts.append((roof, str(rng.choice(["wood", "lacquer", "stone", "rust"]))))
     else:
         parts.append((box(w + 0.4, d + 0.4, 0.25).moved(translate(0, 0, top)), "stone"))
@@ -92,22 +108,17 @@ def house(rng: np.random.Generator, w: float, d: float, h: float) -> list[Part]:
 def landscape(stage: Stage) -> list[CameraPlan]:
     """An open scene; returns the cameras."""
     rng = stage.rng
-    theme = str(rng.choice(["wild", "ruins", "village", "court", "table"], p=[0.32, 0.18, 0.2, 0.18, 0.12]))
+    theme = str(
+        rng.choice(["wild", "ruins", "village", "court", "table"], p=[0.32, 0.18, 0.2, 0.18, 0.12])
+    )
     stage.tags.add(theme)
-    half = 14.0
+    half = 11.0
     rough = rng.uniform(0.4, 0.55)
     relief = rng.uniform(0.3, 4.5) if theme in ("wild", "ruins") else 0.25
     if theme in ("court", "table"):
-        relief = 0.0
-    n = 160
-    height = sf.terrain_height(rng, n, relief, rough)
-    stage.add([(sf.height_field((160.0, 160.0), height), "ground")], solid=False)
-
-    def ground(x: float, y: float) -> float:
-        i = int(np.clip((y / 160 + 0.5) * (n - 1), 0, n - 1))
-        j = int(np.clip((x / 160 + 0.5) * (n - 1), 0, n - 1))
-        return float(height[i, j])
-
+        relief = 0.02
+    ground = sf.terrain(rng, relief, rough)
+    stage.add([(ground.geometry(), "ground")], solid=False)
     for a in range(8):  # the ground as boxes, for the cameras' eyes only
         for b in range(8):
             x, y = (a - 3.5) * 20, (b - 3.5) * 20
@@ -116,7 +127,7 @@ def landscape(stage: Stage) -> list[CameraPlan]:
     _populate(stage, theme, ground, half)
     _sky(stage)
     fog = None
-    if rng.random() < 0.05:
+    if rng.random() < 0.08:
         mist = MediumPlan(float(rng.uniform(0.01, 0.04)), (0.97, 0.97, 0.98), 0.5)
         fog = stage.medium(mist, box(60, 60, 30).moved(translate(0, 0, -8)))
     near = theme in ("court", "table")
@@ -127,13 +138,26 @@ def landscape(stage: Stage) -> list[CameraPlan]:
         target = np.array([*r.normal(0, 1.2, 2), 0])
         target[2] = ground(target[0], target[1]) + r.uniform(0.2, 1.5)
         origin = target + distance * np.array([np.cos(a), np.sin(a), 0])
-        origin[2] = ground(origin[0], origin[1]) + r.uniform(0.4, 2.2) + (r.random() < 0.2) * r.uniform(1, 4)
+        origin[2] = (
+            ground(origin[0], origin[1])
+            + r.uniform(0.3, 1.9)
+            + (r.random() < 0.15) * r.uniform(1, 4)
+        )
         return origin, target
 
-    return cameras.choose(rng, stage.boxes, candidate, clearance=0.7, focal=(20, 70), background=True, lens=0.25, medium=fog)
+    return cameras.choose(
+        rng,
+        stage.boxes,
+        candidate,
+        clearance=0.7,
+        focal=(20, 70),
+        background=True,
+        lens=0.25,
+        medium=fog,
+    )
 
 
-def _populate(stage: Stage, theme: str, ground, half: float) -> None:  # type: ignore[no-untyped-def]
+def _populate(stage: Stage, theme: str, ground: sf.Terrain, half: float) -> None:
     rng = stage.rng
 
     def spot(reach: float) -> Array:
@@ -148,19 +172,31 @@ def _populate(stage: Stage, theme: str, ground, half: float) -> None:  # type: i
         at = spot(half) if theme != "court" else spot(half) @ translate(0, 9, 0)
         if np.hypot(at[0, 3], at[1, 3]) > 2.5:
             stage.add(tree(rng, rng.uniform(2.5, 7)), at @ turned())
+    _backdrop(stage, ground)
     rocks = {"wild": 14, "ruins": 8, "village": 3, "court": 2, "table": 2}[theme]
     kinds = [sf.stone(rng, 1.0), sf.stone(rng, 1.0), sf.chunk(rng, 0.8)]
     for _ in range(int(rng.integers(rocks // 2, rocks + 1))):
         size = float(np.exp(rng.uniform(np.log(0.15), np.log(1.4))))
-        rock = kinds[int(rng.integers(3))].moved(turned() @ scale(size, size * rng.uniform(0.7, 1.2), size * rng.uniform(0.6, 1)))
-        stage.add([(rock, "rock")], spot(half * 0.7) @ translate(0, 0, size * 0.15), movable="rock" if size < 0.5 else None)
+        rock = kinds[int(rng.integers(3))].moved(
+            turned() @ scale(size, size * rng.uniform(0.7, 1.2), size * rng.uniform(0.6, 1))
+        )
+        stage.add(
+            [(rock, "rock")],
+            spot(half * 0.7) @ translate(0, 0, size * 0.15),
+            movable="rock" if size < 0.5 else None,
+        )
     if theme in ("wild", "ruins", "village"):
-        count = int(rng.integers(150, 700))
+        count = int(rng.integers(250, 1100))
         xy = rng.normal(0, half * 0.35, (count, 2))
         points = np.array([[x, y, ground(x, y) - 0.02] for x, y in xy])
-        stage.add([(sf.blades(rng, points, rng.uniform(0.15, 0.7), rng.uniform(0.08, 0.3)), "blade")], solid=False)
-        for _ in range(int(rng.integers(2, 7))):
-            bush = sf.foliage(rng, int(rng.integers(80, 220)), rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.2))
+        stage.add(
+            [(sf.blades(rng, points, rng.uniform(0.15, 0.7), rng.uniform(0.08, 0.3)), "blade")],
+            solid=False,
+        )
+        for _ in range(int(rng.integers(3, 12))):
+            bush = sf.foliage(
+                rng, int(rng.integers(80, 220)), rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.2)
+            )
             stage.add([(bush, "leaf")], spot(half * 0.6) @ translate(0, 0, 0.3))
     if theme == "ruins":
         h, r = rng.uniform(2.5, 4.5), rng.uniform(0.2, 0.35)
@@ -205,21 +241,67 @@ def _populate(stage: Stage, theme: str, ground, half: float) -> None:  # type: i
             item = vase(rng, 0.3) if k == 0 else thing(rng, rng.uniform(0.15, 0.3))
             stage.add(item, translate(-0.5 + 0.22 * k, rng.normal(0, 0.15), 0.99), movable="thing")
         for s in (-1, 1):
-            stage.add(fu.chair(rng), translate(0, s * 0.75, 0.14) @ rotate("z", 0 if s > 0 else np.pi), movable="chair")
+            stage.add(
+                fu.chair(rng),
+                translate(0, s * 0.75, 0.14) @ rotate("z", 0 if s > 0 else np.pi),
+                movable="chair",
+            )
         stage.add(fu.rail(30, 5, 0.9), translate(0, 2.5, 0.1))
         stage.add(potted(rng, 1.4), translate(1.8, 1.6, 0.14), movable="pot")
+
+
+def _backdrop(stage: Stage, ground: sf.Terrain) -> None:
+    """Trees and rocks far behind: copies of a few."""
+    rng = stage.rng
+    if rng.random() < 0.25:
+        return
+    for _ in range(int(rng.integers(1, 3))):
+        model = tree(rng, rng.uniform(4, 10))
+        count = int(rng.integers(4, 12))
+        a, r = rng.uniform(0, 2 * np.pi, count), rng.uniform(15, 55, count)
+        size, turn = rng.uniform(0.6, 1.3, count), rng.uniform(0, 6.3, count)
+        matrices = np.array(
+            [
+                translate(
+                    r[k] * np.cos(a[k]),
+                    r[k] * np.sin(a[k]),
+                    ground(r[k] * np.cos(a[k]), r[k] * np.sin(a[k])) - 0.1,
+                )
+                @ rotate("z", turn[k])
+                @ scale(size[k])
+                for k in range(count)
+            ]
+        )
+        stage.add([(copies(g, matrices), role) for g, role in model], solid=False)
+    count = int(rng.integers(5, 40))
+    a, r = rng.uniform(0, 2 * np.pi, count), rng.uniform(8, 80, count)
+    size = np.exp(rng.uniform(np.log(0.2), np.log(2.5), count))
+    matrices = np.array(
+        [
+            translate(
+                r[k] * np.cos(a[k]),
+                r[k] * np.sin(a[k]),
+                ground(r[k] * np.cos(a[k]), r[k] * np.sin(a[k])),
+            )
+            @ rotate("z", a[k] * 7)
+            @ scale(size[k])
+            for k in range(count)
+        ]
+    )
+    stage.add([(copies(sf.stone(rng, 1.0), matrices), "rock")], solid=False)
 
 
 def _sky(stage: Stage) -> None:
     rng = stage.rng
     wish = exposure.wish(rng) * 1.4
-    if rng.random() < 0.2:
+    if rng.random() < 0.12:
         sun = sky.sun_direction(rng, 6, 60)
         values = {
-            "sun": tuple(sun.tolist()), "turbidity": float(rng.uniform(2, 8)),
-            "albedo": float(rng.uniform(0.1, 0.5)), "sun_scale": float(rng.uniform(0.3, 1)),
-            "scale": wish * 8.0,
-        }  # fmt: skip
+            "sun": tuple(sun.tolist()),
+            "turbidity": float(rng.uniform(2, 8)),
+            "albedo": float(rng.uniform(0.1, 0.5)),
+            "scale": float(rng.choice(SKY_SCALES)),
+        }
         stage.emitters.append(EmitterPlan("environment", "sunsky", values))
         stage.tags.add("sunsky")
         return

@@ -32,7 +32,13 @@ class Floor:
         self.taken.append((x, y, w, d))
 
     def by_wall(
-        self, rng: np.random.Generator, w: float, d: float, *, wall: int | None = None, gap: float = 0.03
+        self,
+        rng: np.random.Generator,
+        w: float,
+        d: float,
+        *,
+        wall: int | None = None,
+        gap: float = 0.03,
     ) -> Array | None:
         """A pose ``(4, 4)`` with the back to a wall (0 to 3: +y, −x, −y, +x), or None."""
         for _ in range(14):

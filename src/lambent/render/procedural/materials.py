@@ -8,6 +8,7 @@ has few materials and many things.
 from __future__ import annotations
 
 import colorsys
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ def colour_scheme(rng: np.random.Generator) -> list[Colour]:
     """Six sRGB colours that go together: neighbours of a hue, its opposite, two neutrals."""
     hue = rng.random()
     spread = rng.choice([0.04, 0.08, 0.33])
-    strength = rng.uniform(0.15, 0.75)
+    strength = rng.uniform(0.08, 0.6)
     colours: list[Colour] = []
     for k in range(4):
         h = (hue + spread * (k - 1) + (0.5 if k == 3 else 0)) % 1
@@ -85,8 +86,8 @@ class Wardrobe:
 
     def neutral(self) -> Colour:
         """A wall-paint colour: near white, or a muted one of the scheme."""
-        if self.rng.random() < 0.6:
-            v = self.rng.uniform(0.72, 0.94)
+        if self.rng.random() < 0.75:
+            v = self.rng.uniform(0.6, 0.93)
             tint = self.rng.normal(0, 0.02, 3)
             r, g, b = np.clip(v + tint, 0.3, 0.95)
             return float(r), float(g), float(b)
@@ -186,8 +187,12 @@ class Wardrobe:
 
     def _make_marble(self, role: str) -> int:
         r = self.rng
-        pairs = [((0.9, 0.89, 0.86), (0.35, 0.35, 0.37)), ((0.12, 0.13, 0.14), (0.75, 0.72, 0.65)),
-                 ((0.28, 0.38, 0.33), (0.7, 0.75, 0.7)), ((0.75, 0.6, 0.5), (0.45, 0.25, 0.2))]  # fmt: skip
+        pairs = [
+            ((0.9, 0.89, 0.86), (0.35, 0.35, 0.37)),
+            ((0.12, 0.13, 0.14), (0.75, 0.72, 0.65)),
+            ((0.28, 0.38, 0.33), (0.7, 0.75, 0.7)),
+            ((0.75, 0.6, 0.5), (0.45, 0.25, 0.2)),
+        ]
         base, vein = pairs[int(r.integers(4))]
         return self._cover(role, tx.marble(r, [base, vein]), r.uniform(0.05, 0.25), specular=0.6)
 
@@ -336,7 +341,8 @@ class Wardrobe:
         r = self.rng
         tint = (1.0, 1.0, 1.0)
         if r.random() < 0.35:
-            tint = tuple(float(v) for v in 0.35 + 0.65 * np.asarray(self.colour()))
+            red, green, blue = 0.35 + 0.65 * np.asarray(self.colour())
+            tint = (float(red), float(green), float(blue))
         return self._add(role, "dielectric", tint=tint)
 
     def _make_water(self, role: str) -> int:
@@ -417,7 +423,8 @@ class Wardrobe:
             return self._cover(
                 role, tx.tiles(r, [(0.6, 0.58, 0.54), (0.5, 0.48, 0.45)]), 0.6, relief=0.2
             )
-        return self._cover(role, tx.ground(r, kinds[kind]), 0.95, relief=0.4)
+        earth = dataclasses.replace(tx.ground(r, kinds[kind]), metres=r.uniform(4, 9))
+        return self._cover(role, earth, 0.95, relief=0.4)
 
     def _make_leaf(self, role: str) -> int:
         colour, coverage = tx.leaf(self.rng)

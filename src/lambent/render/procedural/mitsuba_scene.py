@@ -1,8 +1,9 @@
 """A plan as a Mitsuba scene, padded to the fixed palette so that compiled kernels are shared.
 
 Objects are made one after the other in a fixed order, because Dr.Jit numbers them as they come and
-lays out its call tables by number. The lens radius is the one number that Mitsuba compiles into
-the kernel; it is set again through the parameters of the scene, as data.
+lays out its call tables by number. Some numbers are compiled in by Mitsuba: those of the lens are
+set again through the parameters of the scene, as data; indices of refraction, the scale of a map
+and the size of some textures are the same in all scenes, and analytic skies have two strengths.
 """
 
 from __future__ import annotations
@@ -129,6 +130,7 @@ def _sensor(
             "width": size[0],
             "height": size[1],
             "pixel_format": "rgba",
+            "component_format": "float32",
             "rfilter": {"type": "box"},
         },
         "sampler": {"type": "independent"},
@@ -162,7 +164,7 @@ def _light(mi: Any, kind: str, emitter: EmitterPlan | None, name: str) -> dict[s
     chosen = {"id": name, "sampling_weight": 1.0 if emitter else 0.0}
     power = values.get("radiance", (0.0, 0.0, 0.0))
     if kind == "picture":
-        image = values.get("image", np.zeros((4, 4, 3), np.uint8))
+        image = _sized(values.get("image", np.zeros((1, 1, 3), np.uint8)))
         linear = (image.astype(np.float32) / 255) ** 2.2 * np.asarray(power, np.float32)
         texture = {"type": "bitmap", "bitmap": mi.Bitmap(linear), "raw": True}
         return {"type": "area", "radiance": texture, **chosen}
@@ -191,7 +193,7 @@ def _environment(plan: ScenePlan, mi: Any) -> dict[str, Any]:
             "sun_direction": [float(v) for v in values["sun"]],
             "turbidity": float(values["turbidity"]),
             "albedo": float(values["albedo"]),
-            "sun_scale": float(values["sun_scale"] * values["scale"]),
+            "sun_scale": float(values["scale"]),
             "sky_scale": float(values["scale"]),
             "sampling_weight": weight,
         }

@@ -56,7 +56,7 @@ def _object_path(rng: np.random.Generator, start: Array, size: Array, frames: in
         elif kind == "turn":
             pose = start @ rotate("z", (spin + np.sign(spin) * 0.05) * t)
         elif kind == "tumble":
-            fly = along * t + [0, 0, 0.02 * scale + step * (t * 0.9 - 0.06 * t * t)]
+            fly = along * t + [0, 0, step * (t * 0.9 - 0.06 * t * t)]
             pose = translate(*fly) @ start @ rotate(axis, spin * 1.5 * t)
         else:
             pose = translate(0, 0, step * t) @ start @ rotate("z", spin * t)

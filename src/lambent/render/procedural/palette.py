@@ -55,3 +55,6 @@ BEADS = 48
 
 #: Height and width of textures whose size is compiled in: bump maps, and what plastic takes.
 TEXTURE = 256
+
+#: The strengths of analytic skies, which are compiled in.
+SKY_SCALES = (1.5, 4.0)

@@ -225,7 +225,7 @@ def _flat(value: Any) -> list[bytes]:
 
 
 def look_at(origin: Array, target: Array, roll: float = 0.0) -> Array:
-    """A camera's ``to_world (4, 4)`` from ``origin`` towards ``target``, z up, rolled in radians."""
+    """A camera's ``to_world (4, 4)`` from ``origin`` towards ``target``, z up, rolled (radians)."""
     forward = np.asarray(target, float) - origin
     forward = forward / np.linalg.norm(forward)
     up = np.array([0.0, 0, 1]) if abs(forward[2]) < 0.999 else np.array([0, 1.0, 0])

@@ -11,6 +11,7 @@ from lambent.render.procedural.geometry import (
     Array,
     Geometry,
     box,
+    frame_to,
     merge,
     quad,
     rotate,
@@ -68,7 +69,9 @@ def window_frame(rng: np.random.Generator, hole: Hole) -> list[Part]:
     bars += [box(w, 0.04, 0.03).moved(translate(mid, y, low + h * k / nz)) for k in range(1, nz)]
     parts: list[Part] = [(merge(bars), "trim")]
     if z0 > 0.3:
-        parts.append((box(w + 0.1, 0.3, 0.03, 0.005).moved(translate(mid, -0.02, z0 - 0.03)), "trim"))
+        parts.append(
+            (box(w + 0.1, 0.3, 0.03, 0.005).moved(translate(mid, -0.02, z0 - 0.03)), "trim")
+        )
     if rng.random() < 0.3:
         pane = quad(w, h).moved(translate(mid, y, (z0 + z1) / 2) @ rotate("x", np.pi / 2))
         parts.append((pane, "window"))
@@ -84,8 +87,15 @@ def holes_for(rng: np.random.Generator, length: float, height: float) -> list[Ho
     z0 = 0.05 if rng.random() < 0.25 else rng.uniform(0.7, 1.0)
     z1 = min(height - 0.25, z0 + rng.uniform(1.2, 2.2))
     step = (length - 0.4) / count
-    return [((k + 0.5) * step - length / 2 + 0.2 - width / 2,
-             (k + 0.5) * step - length / 2 + 0.2 + width / 2, z0, z1) for k in range(count)]  # fmt: skip
+    return [
+        (
+            (k + 0.5) * step - length / 2 + 0.2 - width / 2,
+            (k + 0.5) * step - length / 2 + 0.2 + width / 2,
+            z0,
+            z1,
+        )
+        for k in range(count)
+    ]
 
 
 def shell(stage: Stage, w: float, d: float, h: float, lit_by_day: bool) -> float:
@@ -134,14 +144,21 @@ def _dress_windows(stage: Stage, holes: list[Hole], pose: Array, h: float) -> No
             top = min(z1 + 0.15, h - 0.02)
             length = top - (0.02 if rng.random() < 0.7 else z0 - 0.1)
             for s in (-1, 1):
-                cloth = sf.cloth(rng, w * rng.uniform(0.2, 0.4), length, int(rng.integers(3, 6)), 0.04)
+                cloth = sf.cloth(
+                    rng, w * rng.uniform(0.2, 0.4), length, int(rng.integers(3, 6)), 0.04
+                )
                 x = (x0 + x1) / 2 + s * w * 0.5
                 stage.add([(cloth.moved(translate(x, -0.1, top)), "curtain")], pose, solid=False)
-            pole = fu.tube(np.array([[x0 - 0.3, -0.1, top], [x0, -0.1, top], [x1 + 0.3, -0.1, top]]), 0.012)
+            pole = fu.tube(
+                np.array([[x0 - 0.3, -0.1, top], [x0, -0.1, top], [x1 + 0.3, -0.1, top]]), 0.012
+            )
             stage.add([(pole, "metal")], pose, solid=False)
         elif style < 0.58:
             drop = (z1 - z0) * rng.uniform(0.3, 1.0)
-            blind = [(g.moved(translate((x0 + x1) / 2, 0.05, z1)), r) for g, r in fu.blinds(rng, w - 0.04, drop)]
+            blind = [
+                (g.moved(translate((x0 + x1) / 2, 0.05, z1)), r)
+                for g, r in fu.blinds(rng, w - 0.04, drop)
+            ]
             stage.add(blind, pose, solid=False)
 
 
@@ -153,16 +170,28 @@ def _door(stage: Stage, length: float, pose: Array) -> None:
     leaf = box(0.85, 0.03, 2.05, 0.004).moved(translate(x, -0.015, 0.005))
     frame = [box(0.08, 0.05, 2.14).moved(translate(x + s * 0.47, -0.02, 0)) for s in (-1, 1)]
     frame.append(box(1.02, 0.05, 0.08).moved(translate(x, -0.02, 2.06)))
-    panels = [box(0.3, 0.012, 0.7, 0.006).moved(translate(x + s * 0.2, -0.033, z)) for s in (-1, 1) for z in (0.2, 1.1)]
-    knob = fu.tube(np.array([[x + 0.3, -0.03, 1.02], [x + 0.3, -0.07, 1.02], [x + 0.38, -0.075, 1.02]]), 0.01)
+    panels = [
+        box(0.3, 0.012, 0.7, 0.006).moved(translate(x + s * 0.2, -0.033, z))
+        for s in (-1, 1)
+        for z in (0.2, 1.1)
+    ]
+    knob = fu.tube(
+        np.array([[x + 0.3, -0.03, 1.02], [x + 0.3, -0.07, 1.02], [x + 0.38, -0.075, 1.02]]), 0.01
+    )
     role = str(rng.choice(["wood", "trim"]))
-    stage.add([(leaf, role), (merge(panels), role), (merge(frame), "trim"), (knob, "metal")], pose, solid=False)
+    stage.add(
+        [(leaf, role), (merge(panels), role), (merge(frame), "trim"), (knob, "metal")],
+        pose,
+        solid=False,
+    )
 
 
 # --- themes ----------------------------------------------------------------------------------
 
 
-def _on_top(stage: Stage, pose: Array, reach: tuple[float, float], h: float, count: int, size: float) -> None:
+def _on_top(
+    stage: Stage, pose: Array, reach: tuple[float, float], h: float, count: int, size: float
+) -> None:
     """Strew some things on a top at height ``h`` of furniture at ``pose``."""
     rng = stage.rng
     taken: list[tuple[float, float, float]] = []
@@ -185,7 +214,9 @@ def _on_top(stage: Stage, pose: Array, reach: tuple[float, float], h: float, cou
 def _dining(stage: Stage, floor: Floor, h: float) -> Array:
     rng = stage.rng
     w, d, top = rng.uniform(1.2, 2.2), rng.uniform(0.8, 1.0), rng.uniform(0.72, 0.76)
-    at = translate(rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0) @ rotate("z", rng.choice([0, np.pi / 2]))
+    at = translate(rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 0) @ rotate(
+        "z", rng.choice([0, np.pi / 2])
+    )
     stage.add(fu.table(rng, w, d, top), at)
     seed_chair = fu.chair(rng)
     for k in range(max(1, int(w / 0.62))):
@@ -208,13 +239,23 @@ def _living(stage: Stage, floor: Floor, h: float) -> Array:
     at = rotate("z", rng.choice([0, np.pi / 2, np.pi, -np.pi / 2]))
     back = 1.35
     if rng.random() < 0.7:
-        rug = quad(rng.uniform(2.2, 3.2), rng.uniform(1.5, 2.2), (1, 1)).moved(translate(0, 0, 0.008))
+        rug = quad(rng.uniform(2.2, 3.2), rng.uniform(1.5, 2.2), (1, 1)).moved(
+            translate(0, 0, 0.008)
+        )
         stage.add([(rug, "rug")], at, solid=False)
     stage.add(fu.sofa(rng, seats), at @ translate(0, back, 0))
     if rng.random() < 0.7:
-        stage.add(fu.sofa(rng, 1), at @ translate(-1.6, 0, 0) @ rotate("z", np.pi / 2 + rng.normal(0, 0.15)), movable="armchair")
+        stage.add(
+            fu.sofa(rng, 1),
+            at @ translate(-1.6, 0, 0) @ rotate("z", np.pi / 2 + rng.normal(0, 0.15)),
+            movable="armchair",
+        )
     if rng.random() < 0.3:
-        stage.add(fu.chair(rng), at @ translate(1.5, -0.2, 0) @ rotate("z", -np.pi / 2 + rng.normal(0, 0.3)), movable="chair")
+        stage.add(
+            fu.chair(rng),
+            at @ translate(1.5, -0.2, 0) @ rotate("z", -np.pi / 2 + rng.normal(0, 0.3)),
+            movable="chair",
+        )
     w, d, top = rng.uniform(0.8, 1.3), rng.uniform(0.5, 0.7), rng.uniform(0.32, 0.45)
     stage.add(fu.table(rng, w, d, top), at)
     _on_top(stage, at, (w / 2 * 0.85, d / 2 * 0.85), top, int(rng.integers(2, 6)), 0.2)
@@ -230,11 +271,20 @@ def _screen(stage: Stage, pose: Array, w: float) -> None:
     """A television; sometimes it is on."""
     rng = stage.rng
     h = w * 9 / 16
-    stage.add([(box(w + 0.04, 0.04, h + 0.04, 0.006).moved(translate(0, 0.025, -h / 2 - 0.02)), "black")], pose)
+    stage.add(
+        [(box(w + 0.04, 0.04, h + 0.04, 0.006).moved(translate(0, 0.025, -h / 2 - 0.02)), "black")],
+        pose,
+    )
     upright = pose @ translate(0, -0.002, 0) @ rotate("x", np.pi / 2)
     if rng.random() < 0.6 and stage.free("picture"):
-        stage.light("picture", "screen", white(rng, 0.25) * rng.uniform(1, 4), upright, (w, h, 1),
-                    image=to_bytes(screen(rng)))  # fmt: skip
+        stage.light(
+            "picture",
+            "screen",
+            white(rng, 0.25) * rng.uniform(0.15, 0.7),
+            upright,
+            (w, h, 1),
+            image=to_bytes(screen(rng)),
+        )
     else:
         stage.add([(quad(w, h), "black")], upright, solid=False)
 
@@ -264,9 +314,15 @@ def _study(stage: Stage, floor: Floor, h: float) -> Array:
     at = translate(0, 0, 0) if at is None else at
     desk = at @ translate(0, 0.38, 0)
     stage.add(fu.table(rng, w, 0.7, 0.74), desk)
-    stage.add(fu.chair(rng), at @ translate(rng.normal(0, 0.15), -0.3, 0) @ rotate("z", np.pi + rng.normal(0, 0.5)), movable="chair")
+    stage.add(
+        fu.chair(rng),
+        at @ translate(rng.normal(0, 0.15), -0.3, 0) @ rotate("z", np.pi + rng.normal(0, 0.5)),
+        movable="chair",
+    )
     _screen(stage, desk @ translate(rng.uniform(-0.2, 0.2), 0.2, 1.05), 0.6)
-    _on_top(stage, desk @ translate(0, -0.1, 0), (w / 2 * 0.9, 0.2), 0.74, int(rng.integers(2, 6)), 0.18)
+    _on_top(
+        stage, desk @ translate(0, -0.1, 0), (w / 2 * 0.9, 0.2), 0.74, int(rng.integers(2, 6)), 0.18
+    )
     return at
 
 
@@ -284,7 +340,13 @@ def _kitchen(stage: Stage, floor: Floor, h: float) -> Array:
     return at @ translate(0, -0.8, 0)
 
 
-_THEMES = {"dining": _dining, "living": _living, "bedroom": _bedroom, "study": _study, "kitchen": _kitchen}
+_THEMES = {
+    "dining": _dining,
+    "living": _living,
+    "bedroom": _bedroom,
+    "study": _study,
+    "kitchen": _kitchen,
+}
 
 
 # --- lamps -----------------------------------------------------------------------------------
@@ -297,6 +359,10 @@ def _standing_lamp(stage: Stage, pose: Array, height: float, radius: float) -> N
         return
     r = 0.03 if rng.random() < 0.7 else 0.012
     at = pose @ translate(0, 0, height - radius * 0.8)
+    if rng.random() < 0.25 and stage.free("point"):
+        power = white(rng, rng.uniform(0.6, 0.95)) * rng.uniform(0.3, 1) / (4 * np.pi)
+        stage.light("point", "lamps", power, at)
+        return
     colour = white(rng, rng.uniform(0.6, 0.95)) * rng.uniform(0.3, 1) / (4 * np.pi**2 * r * r)
     stage.light("bulb", "lamps", colour, at, (r, r, r))
 
@@ -312,14 +378,18 @@ def _ceiling_lights(stage: Stage, w: float, d: float, h: float, at: Array) -> No
             if "lamps_on" in stage.tags:
                 b = min(0.04, r * 0.25)
                 colour = white(rng, 0.75) / (4 * np.pi**2 * b * b)
-                stage.light("bulb", "pendant", colour, translate(x, y, h - drop - r * 0.45), (b, b, b))
+                stage.light(
+                    "bulb", "pendant", colour, translate(x, y, h - drop - r * 0.45), (b, b, b)
+                )
     elif "lamps_on" not in stage.tags:
         return
     elif style == "panels":
         n = int(rng.integers(1, 4))
         size = rng.uniform(0.3, 1.2, 2)
         for k in range(n):
-            pose = translate((k + 0.5) / n * w - w / 2, rng.uniform(-0.2, 0.2) * d, h - 0.02) @ rotate("x", np.pi)
+            pose = translate(
+                (k + 0.5) / n * w - w / 2, rng.uniform(-0.2, 0.2) * d, h - 0.02
+            ) @ rotate("x", np.pi)
             colour = white(rng, rng.uniform(0.2, 0.7)) / (np.pi * size.prod() * n)
             stage.light("panel", "panels", colour, pose, (size[0], size[1], 1))
             frame = box(size[0] + 0.06, size[1] + 0.06, 0.019).moved(translate(*pose[:3, 3]))
@@ -329,12 +399,16 @@ def _ceiling_lights(stage: Stage, w: float, d: float, h: float, at: Array) -> No
             x, y = rng.uniform(-0.42, 0.42, 2) * [w, d]
             aim = np.array([rng.normal(0, 0.4), rng.normal(0, 0.4), -1])
             colour = (neon(rng) if rng.random() < 0.12 else white(rng, 0.6)) * rng.uniform(0.3, 1)
-            pose = translate(x, y, h - 0.05) @ sf._towards(aim)
+            pose = translate(x, y, h - 0.05) @ frame_to(aim)
             stage.light("spot", f"spots_{k}", colour, pose, cutoff=float(rng.uniform(20, 50)))
     else:
-        ends = np.array([[-w / 2, -d / 2, h - 0.2], [0, d / 2 - 0.1, h - 0.35], [w / 2, -d / 2, h - 0.2]])
+        ends = np.array(
+            [[-w / 2, -d / 2, h - 0.2], [0, d / 2 - 0.1, h - 0.35], [w / 2, -d / 2, h - 0.2]]
+        )
         line = along(ends, 0.35)
-        stage.light("string", "fairy_lights", white(rng, 0.9) * 18, np.eye(4), spots=line, bead=0.015)
+        stage.light(
+            "string", "fairy_lights", white(rng, 0.9) * 18, np.eye(4), spots=line, bead=0.015
+        )
         stage.add([(fu.tube(line, 0.002, 4), "black")], solid=False)
 
 
@@ -360,18 +434,33 @@ def room(stage: Stage) -> list[CameraPlan]:
     low = np.array([-w / 2, -d / 2, 0])
 
     def candidate(r: np.random.Generator) -> tuple[Array, Array]:
-        origin = low + np.array([w, d, 1]) * np.array([*r.uniform(0.06, 0.94, 2), r.uniform(0.5, 1.9)])
-        aim = middle[:3, 3] if r.random() < 0.55 else low + np.array([w, d, 0]) * r.uniform(0.1, 0.9, 3)
-        target = np.array([aim[0] + r.normal(0, 0.3), aim[1] + r.normal(0, 0.3), r.uniform(0.3, 1.4)])
+        origin = low + np.array([w, d, 1]) * np.array(
+            [*r.uniform(0.06, 0.94, 2), r.uniform(0.5, 1.9)]
+        )
+        aim = (
+            middle[:3, 3]
+            if r.random() < 0.55
+            else low + np.array([w, d, 0]) * r.uniform(0.1, 0.9, 3)
+        )
+        target = np.array(
+            [aim[0] + r.normal(0, 0.3), aim[1] + r.normal(0, 0.3), r.uniform(0.3, 1.4)]
+        )
         return origin, target
 
-    return cameras.choose(rng, stage.boxes, candidate, clearance=0.5, focal=(16, 50), medium=fog, lens=0.25)
+    return cameras.choose(
+        rng, stage.boxes, candidate, clearance=0.5, focal=(16, 50), medium=fog, lens=0.25
+    )
 
 
 def _along_walls(stage: Stage, floor: Floor, h: float) -> None:
     rng = stage.rng
     for _ in range(int(rng.integers(3, 8))):
-        what = str(rng.choice(["shelf", "cabinet", "plant", "lamp", "chair", "low_shelf"], p=[0.3, 0.16, 0.18, 0.18, 0.08, 0.1]))
+        what = str(
+            rng.choice(
+                ["shelf", "cabinet", "plant", "lamp", "chair", "low_shelf"],
+                p=[0.3, 0.16, 0.18, 0.18, 0.08, 0.1],
+            )
+        )
         if what == "shelf":
             w, tall = rng.uniform(0.6, 1.8), rng.uniform(1.6, min(2.3, h - 0.1))
             pose = floor.by_wall(rng, w, 0.3)
@@ -381,9 +470,15 @@ def _along_walls(stage: Stage, floor: Floor, h: float) -> None:
             w, tall, deep = rng.uniform(0.8, 1.8), rng.uniform(0.6, 0.95), rng.uniform(0.35, 0.5)
             pose = floor.by_wall(rng, w, deep)
             if pose is not None:
-                maker = fu.cabinet(rng, w, tall, deep) if what == "cabinet" else fu.shelf(rng, w, tall, deep)
+                maker = (
+                    fu.cabinet(rng, w, tall, deep)
+                    if what == "cabinet"
+                    else fu.shelf(rng, w, tall, deep)
+                )
                 stage.add(maker, pose)
-                _on_top(stage, pose, (w / 2 * 0.9, deep / 2 * 0.85), tall, int(rng.integers(1, 5)), 0.26)
+                _on_top(
+                    stage, pose, (w / 2 * 0.9, deep / 2 * 0.85), tall, int(rng.integers(1, 5)), 0.26
+                )
         elif what == "plant":
             pose = floor.by_wall(rng, 0.6, 0.6)
             if pose is not None:
@@ -441,7 +536,7 @@ def _expose(stage: Stage, time: str, glazed: float, size: tuple[float, float, fl
         image = sky.daylight(rng, sky.sun_direction(rng, 12, 50))
     stage.environment(image, scale_out)
     level = (outside * scale_out * 0.8 + inside) * 0.55 / (np.pi * surface * 0.45)
-    stage.scale_lights(exposure.wish(rng) / max(level, 1e-9))
+    stage.scale_lights(2.6 * exposure.wish(rng) / max(level, 1e-9))
 
 
 def _haze(stage: Stage, w: float, d: float, h: float) -> int:
@@ -449,5 +544,3 @@ def _haze(stage: Stage, w: float, d: float, h: float) -> int:
     fog = MediumPlan(float(rng.uniform(0.03, 0.15)), (0.95, 0.95, 0.96), float(rng.uniform(0, 0.7)))
     skin = box(w + 1.2, d + 1.2, h + 0.6).moved(translate(0, 0, -0.2))
     return stage.medium(fog, skin)
-
-

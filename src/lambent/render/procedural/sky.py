@@ -16,7 +16,7 @@ from lambent.render.procedural.palette import ENVIRONMENT
 
 
 def directions() -> Array:
-    """The unit vectors ``(H, W, 3)`` of the map's pixels, z up, as `mitsuba_scene` turns the map."""
+    """The unit vectors ``(H, W, 3)`` of the map's pixels, z up, as `mitsuba_scene` turns it."""
     h, w = ENVIRONMENT
     theta = (np.arange(h) + 0.5) / h * np.pi
     phi = (np.arange(w) + 0.5) / w * 2 * np.pi
@@ -64,7 +64,7 @@ def daylight(
     sky = tone * (gradation * indicatrix * (0.35 + 0.5 * (1 - z)))[..., None]
     if cover > 0.03:
         sky = _clouds(rng, sky, d, z, gamma, cover, low)
-    below = d[..., 2] < 0
+    below = d[..., 2] < -0.02  # beyond the last hill
     earth = np.asarray(rng.uniform(0.08, 0.3)) * np.array([1, 0.93, 0.82])
     mean = float((sky * (np.maximum(d[..., 2:], 0) * solid_angles()[..., None])).sum() / np.pi / 3)
     sky = sky / max(mean, 1e-6)

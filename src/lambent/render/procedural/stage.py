@@ -87,7 +87,7 @@ class Stage:
         bead: float = 0.01,
         **values: object,
     ) -> bool:
-        """Add a light at ``pose``; area lights are scaled by ``size``. False if there is no slot."""
+        """Add a light at ``pose``; area lights are scaled by ``size``. False: no slot is left."""
         if not self.free(kind):
             return False
         count = sum(e.id == group or e.id.rpartition("_")[0] == group for e in self.emitters)
@@ -145,12 +145,12 @@ class Stage:
         """The plan."""
         materials = self.wardrobe.made
         movable, still = [], {n: list(m) for n, m in self._still.items()}
-        room = SHAPES - len(set(still)) - len(self._filled) - 2
+        # At worst every material has one mesh that stands still.
+        used = set(still).union(*(groups for _, _, groups in self._movable))
+        room = SHAPES - len(used) - len(self._filled)
         for k, (name, pose, groups) in enumerate(self._movable):
-            fresh = len(groups) + sum(n not in still for n in groups)
-            if fresh > room:
+            if len(groups) > room:
                 for n, members in groups.items():
-                    room -= n not in still
                     still.setdefault(n, []).extend(m.moved(pose) for m in members)
                 continue
             room -= len(groups)

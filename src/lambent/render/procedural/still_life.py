@@ -47,12 +47,12 @@ def still_life(stage: Stage) -> list[CameraPlan]:
     _arrange(stage, reach, tall=setting == "pedestal")
     _light(stage, setting)
     level = exposure.irradiance(stage, np.array([0, 0, 0.1])) + _ambient(stage)
-    stage.scale_lights(exposure.wish(rng) * np.pi / (0.42 * max(level, 1e-6)))
+    stage.scale_lights(exposure.wish(rng) * np.pi / (0.3 * max(level, 1e-6)))
 
     def candidate(r: np.random.Generator) -> tuple[Array, Array]:
         around = np.pi * 1.5 + r.normal(0, 0.55)
         up = np.radians(r.uniform(3, 50) if r.random() < 0.8 else r.uniform(50, 75))
-        distance = max(reach) * np.exp(r.uniform(np.log(1.2), np.log(4)))
+        distance = max(reach) * np.exp(r.uniform(np.log(1.1), np.log(2.9)))
         toward = np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
         target = np.array([*(r.normal(0, 0.22, 2) * reach), r.uniform(0.03, 0.2)])
         return target + toward * distance, target
@@ -69,7 +69,18 @@ def _surface(stage: Stage, setting: str) -> tuple[float, float]:
     if setting == "pedestal":
         r = rng.uniform(0.22, 0.35)
         block = box(2 * r, 2 * r, 1.1, 0.01).moved(translate(0, 0, -1.1))
-        drum = np.array([[0, 0], [r * 1.1, 0], [r * 1.1, 0.05], [r, 0.08], [r, 1.02], [r * 1.1, 1.05], [r * 1.1, 1.1], [0, 1.1]])
+        drum = np.array(
+            [
+                [0, 0],
+                [r * 1.1, 0],
+                [r * 1.1, 0.05],
+                [r, 0.08],
+                [r, 1.02],
+                [r * 1.1, 1.05],
+                [r * 1.1, 1.1],
+                [0, 1.1],
+            ]
+        )
         round_one = lathe(drum, 48, smooth=1).moved(translate(0, 0, -1.1))
         stage.add([(block if rng.random() < 0.5 else round_one, "pedestal")])
         stage.add([(quad(9, 9).moved(translate(0, 0, -1.1)), "floor")])
@@ -77,27 +88,47 @@ def _surface(stage: Stage, setting: str) -> tuple[float, float]:
         stage.add([(quad(9, 4).moved(translate(0, wall, 0.5) @ rotate("x", np.pi / 2)), "wall")])
         return r * 0.85, r * 0.85
     if setting == "sweep":
-        back = sweep(7, 4, 3).moved(translate(0, rng.uniform(0.4, 1.2), 0))
-        stage.add([(back, str(rng.choice(["wall", "cloth", "lacquer", "gloss", "black"])))], solid=False)
+        sheet = sweep(30, 8, 8).moved(translate(0, rng.uniform(0.4, 1.2), 0))
+        stage.add(
+            [(sheet, str(rng.choice(["wall", "cloth", "lacquer", "gloss", "black"])))], solid=False
+        )
         stage.boxes.append((np.array([-4, -4, -0.1]), np.array([4, 1.5, 0.0])))
         stage.boxes.append((np.array([-4, 1.5, 0]), np.array([4, 1.7, 3.0])))
         return rng.uniform(0.3, 0.6), rng.uniform(0.25, 0.45)
     w, d = rng.uniform(0.8, 1.6), rng.uniform(0.6, 0.9)
-    role = str(rng.choice(["wood", "marble", "stone", "lacquer", "metal", "floor"], p=[0.45, 0.15, 0.1, 0.1, 0.05, 0.15]))
+    role = str(
+        rng.choice(
+            ["wood", "marble", "stone", "lacquer", "metal", "floor"],
+            p=[0.45, 0.15, 0.1, 0.1, 0.05, 0.15],
+        )
+    )
     stage.add([(box(w, d, 0.05, 0.006).moved(translate(0, 0, -0.05)), role)])
     if rng.random() < 0.45:
         _drape(stage, w, d)
     if setting == "corner":
-        stage.add([(quad(w, 2.5).moved(translate(0, d / 2 + 0.01, 0.8) @ rotate("x", np.pi / 2)), "wall")])
+        stage.add(
+            [(quad(8, 4).moved(translate(0, d / 2 + 0.01, 0.9) @ rotate("x", np.pi / 2)), "wall")]
+        )
         side = float(rng.choice([-1, 1]))
         turn = rotate("z", -side * np.pi / 2) @ rotate("x", np.pi / 2)
-        stage.add([(quad(4, 2.5).moved(translate(side * (w / 2 + 0.01), 0, 0.8) @ turn), "wall_accent")])
+        at = translate(side * (w / 2 + rng.choice([0.01, 0.4])), d / 2 - 4, 0.9)
+        stage.add([(quad(8, 4).moved(at @ turn), "wall_accent")])
+        stage.add([(quad(10, 10).moved(translate(0, 0, -0.75)), "floor")])
     else:
         back = rng.uniform(0.5, 2.5)
         stage.add([(quad(10, 5).moved(translate(0, back, 0.5) @ rotate("x", np.pi / 2)), "wall")])
         stage.add([(quad(10, 8).moved(translate(0, back - 4, -0.75)), "floor")])
         if rng.random() < 0.35:
-            stage.add([(sf.cloth(rng, 2.4, 3.2, 12).moved(translate(rng.uniform(-1, 1), back - 0.12, 2.4)), "curtain")])
+            stage.add(
+                [
+                    (
+                        sf.cloth(rng, 2.4, 3.2, 12).moved(
+                            translate(rng.uniform(-1, 1), back - 0.12, 2.4)
+                        ),
+                        "curtain",
+                    )
+                ]
+            )
         if rng.random() < 0.3:
             row = books(rng, 0.8, 0.25)
             stage.add(row, translate(-0.4, back - 0.15, 0.2))
@@ -147,7 +178,8 @@ def _arrange(stage: Stage, reach: tuple[float, float], *, tall: bool) -> None:
         scattered(stage, reach, float(rng.uniform(0.006, 0.015)), int(rng.integers(30, 250)))
     if rng.random() < 0.05:
         r = rng.uniform(0.04, 0.08)
-        body = super_ellipsoid((r, r, r), *rng.choice([0.3, 1.0], 2), 24).moved(translate(0, 0, r * 1.01))
+        e1, e2 = (float(v) for v in rng.choice([0.3, 1.0], 2))
+        body = super_ellipsoid((r, r, r), e1, e2, 24).moved(translate(0, 0, r * 1.01))
         fog = MediumPlan(float(rng.uniform(10, 60)), tuple(rng.uniform(0.7, 0.99, 3).tolist()), 0.3)
         free = [p for p in places if p is not None]
         x, y = free[-1] if free else (0.0, 0.0)
@@ -180,8 +212,12 @@ def _ambient(stage: Stage) -> float:
 def _light(stage: Stage, setting: str) -> None:
     """Window light, soft boxes, one bulb, spots, or only the surroundings."""
     rng = stage.rng
-    style = str(rng.choice(["softbox", "window", "bulb", "spots", "surroundings", "string"],
-                           p=[0.26, 0.24, 0.12, 0.14, 0.18, 0.06]))  # fmt: skip
+    style = str(
+        rng.choice(
+            ["softbox", "window", "bulb", "spots", "surroundings", "string"],
+            p=[0.26, 0.24, 0.12, 0.14, 0.18, 0.06],
+        )
+    )
     maker = [sky.studio, sky.indoors][int(rng.integers(2))]
     fill = {"surroundings": 1.0, "bulb": 0.04, "spots": 0.06, "string": 0.08}.get(style, 0.15)
     stage.environment(maker(rng), fill * rng.uniform(0.4, 1.6))
@@ -197,23 +233,43 @@ def _light(stage: Stage, setting: str) -> None:
             power = colour * distance**2 / size.prod() * (1 if k == 0 else rng.uniform(0.1, 0.6))
             stage.light("panel", f"softbox_{k}", power, pose, (size[0], size[1], 1))
             if style == "window":  # glazing bars before the light throw a pattern
-                bars = [box(size[0] + 0.3, 0.03, 0.03).moved(translate(0, s * size[1] / 4, 0.1)) for s in (-1, 0, 1)]
-                bars += [box(0.03, size[1] + 0.3, 0.03).moved(translate(s * size[0] / 4, 0, 0.1)) for s in (-1, 0, 1)]
+                bars = [
+                    box(size[0] + 0.3, 0.03, 0.03).moved(translate(0, s * size[1] / 4, 0.1))
+                    for s in (-1, 0, 1)
+                ]
+                bars += [
+                    box(0.03, size[1] + 0.3, 0.03).moved(translate(s * size[0] / 4, 0, 0.1))
+                    for s in (-1, 0, 1)
+                ]
                 stage.add([(merge(bars), "trim")], pose)
     elif style == "bulb":
         r = rng.uniform(0.005, 0.05)
         x, y, z = rng.uniform(-0.7, 0.7), rng.uniform(-0.7, 0.2), rng.uniform(0.4, 1.2)
-        stage.light("bulb", "bulb", white(rng, rng.uniform(0.5, 1)) / (4 * r * r), translate(x, y, z), (r, r, r))
+        if rng.random() < 0.3:
+            stage.light("point", "bulb", white(rng, rng.uniform(0.5, 1)), translate(x, y, z))
+        else:
+            power = white(rng, rng.uniform(0.5, 1)) / (4 * r * r)
+            stage.light("bulb", "bulb", power, translate(x, y, z), (r, r, r))
     elif style == "spots":
         for k in range(int(rng.integers(1, 4))):
             at = np.array([rng.uniform(-1.2, 1.2), rng.uniform(-1.4, 0.3), rng.uniform(0.7, 1.8)])
             pose = translate(*at) @ frame_to(-at + rng.normal(0, 0.08, 3))
             colour = neon(rng) if rng.random() < 0.25 else white(rng)
-            stage.light("spot", f"spot_{k}", colour * (at @ at), pose, cutoff=float(rng.uniform(10, 35)))
+            stage.light(
+                "spot", f"spot_{k}", colour * (at @ at), pose, cutoff=float(rng.uniform(10, 35))
+            )
     elif style == "string":
         ends = np.array([[-0.8, 0.3, 0.5], [0, 0.25, rng.uniform(0.4, 0.7)], [0.8, 0.3, 0.5]])
         beads = along(ends, 0.12)
-        stage.light("string", "fairy_lights", white(rng, 0.9) * 60, np.eye(4), spots=beads, bead=0.006)
+        stage.light(
+            "string", "fairy_lights", white(rng, 0.9) * 60, np.eye(4), spots=beads, bead=0.006
+        )
         stage.add([(sf.tube(beads, 0.0015, 4), "rubber")], solid=False)
     if setting == "pedestal" and style == "surroundings":
-        stage.light("panel", "ceiling", white(rng, 0.4) * 2, translate(0, 0, 2.5) @ rotate("x", np.pi), (1, 1, 1))
+        stage.light(
+            "panel",
+            "ceiling",
+            white(rng, 0.4) * 2,
+            translate(0, 0, 2.5) @ rotate("x", np.pi),
+            (1, 1, 1),
+        )

@@ -1,4 +1,4 @@
-"""Surfaces that no lathe makes: displaced, fractured, cast in relief, drawn as wire, cut from cards.
+"""Surfaces that no lathe makes: displaced, fractured, in relief, of wire, of cards.
 
 Fracture cuts a convex solid by the bisectors of random points, which are the cells of their Voronoi
 diagram ("Voronoi diagrams: a survey", Aurenhammer 1991), and moves the cells apart.
@@ -7,6 +7,7 @@ diagram ("Voronoi diagrams: a survey", Aurenhammer 1991), and moves the cells ap
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from lambent.render.procedural.geometry import (
     grid,
     merge,
     rotate,
-    scale,
     smooth_normals,
     translate,
     tube,
@@ -33,6 +33,7 @@ from lambent.render.procedural.noise import fbm, solid_noise
 def icosphere(level: int) -> tuple[Array, NDArray[np.int64]]:
     """Points of the unit sphere ``(N, 3)`` and ``20·4**level`` faces."""
     g = (1 + 5**0.5) / 2
+    p: list[tuple[float, float, float]]
     p = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     p += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
     f = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4)]
@@ -84,14 +85,48 @@ def stone(rng: np.random.Generator, size: float) -> Geometry:
     return Geometry(p, smooth_normals(p, faces), uv, faces)
 
 
-def height_field(size: tuple[float, float], height: Array, repeat: float = 1.0) -> Geometry:
-    """A terrain of ``size`` metres centred on the origin with ``height (R, C)`` in metres."""
-    rows, columns = height.shape
-    y, x = np.linspace(-0.5, 0.5, rows) * size[1], np.linspace(-0.5, 0.5, columns) * size[0]
-    points = np.stack(
-        [np.broadcast_to(x, height.shape), np.broadcast_to(y[:, None], height.shape), height], -1
-    )
-    return grid(points, points[..., :2] * repeat)
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """Ground up to ``reach`` metres around the origin, fine in the middle and coarse far away.
+
+    Row and column k of ``heights (N, N)`` lie at ``reach · sign(t) t²`` for t from −1 to 1.
+    """
+
+    reach: float
+    heights: Array
+
+    def geometry(self) -> Geometry:
+        """The mesh; texture coordinates are metres."""
+        t = np.linspace(-1, 1, len(self.heights))
+        at = self.reach * np.sign(t) * t * t
+        x, y = (
+            np.broadcast_to(at, self.heights.shape),
+            np.broadcast_to(at[:, None], self.heights.shape),
+        )
+        points = np.stack([x, y, self.heights], -1)
+        return grid(points, points[..., :2])
+
+    def __call__(self, x: float, y: float) -> float:
+        """The height at a place, in metres."""
+        n = len(self.heights)
+        t = np.array([y, x]) / self.reach
+        p = (np.sign(t) * np.sqrt(np.abs(t)) * 0.5 + 0.5) * (n - 1)
+        i = np.clip(np.floor(p).astype(int), 0, n - 2)
+        f = p - i
+        h = self.heights[i[0] : i[0] + 2, i[1] : i[1] + 2]
+        rows = h[:, 0] * (1 - f[1]) + h[:, 1] * f[1]
+        return float(rows[0] * (1 - f[0]) + rows[1] * f[0])
+
+
+def terrain(rng: np.random.Generator, relief_m: float, rough: float) -> Terrain:
+    """Hills, nearly flat in the middle so that things can stand there, higher far away."""
+    n = 160
+    h = fbm(rng, (n, n), (4, 4), 6, rough)
+    t = np.linspace(-1, 1, n)
+    away = np.maximum(np.abs(t)[:, None], np.abs(t)[None, :])
+    near = np.clip((away - 0.05) / 0.5, 0.02, 1)
+    far = np.maximum(away - 0.35, 0) ** 2 * rng.uniform(5, 90)
+    return Terrain(320.0, h * (relief_m * near) + far * (0.35 + np.abs(h)))
 
 
 def cut(polygons: list[Array], normal: Array, offset: float) -> list[Array]:
@@ -212,11 +247,11 @@ def relief(
             middle = translate((x0 + x1) / 2, -depth / 2, (y0 + y1) / 2)
             strokes.append(bar.moved(middle @ rotate("y", -angle)))
         alphabet.append(merge(strokes))
-    parts = []
+    parts: list[Geometry] = []
     for row in range(rows):
         x = 0.0
         for _ in range(letters):
-            if rng.random() < 0.85:
+            if not parts or rng.random() < 0.85:
                 sign = alphabet[int(rng.integers(9))]
                 parts.append(sign.moved(translate(x, 0, (rows - 1 - row) * height * 1.25)))
             x += height * 0.62
@@ -254,7 +289,7 @@ def cage(rng: np.random.Generator, radius: float, wire: float) -> Geometry:
 
 
 def leaf_card(width: float, height: float, bend: float = 0.3) -> Geometry:
-    """A card, its stalk at the origin, that rises along z and bends to +y; texture fills it once."""
+    """A card, its stalk at the origin, that rises along z and bends to +y; uv fill it once."""
     t = np.linspace(0, 1, 5)[:, None]
     x = np.array([-0.5, 0.5])[None, :] * width
     points = np.stack(
@@ -271,17 +306,13 @@ def foliage(
     card = leaf_card(size, size * rng.uniform(1.2, 2.2), rng.uniform(0.2, 0.7))
     directions = unit(rng.normal(size=(count, 3)))
     spots = directions * radius * rng.uniform(0.35, 1, (count, 1)) ** 0.6
-    matrices = np.empty((count, 4, 4))
-    for i in range(count):
-        up = unit(directions[i] + [0, 0, upright] + rng.normal(size=3) * 0.5)
-        matrices[i] = translate(*spots[i]) @ _towards(up) @ rotate("z", rng.uniform(0, 6.283))
-    return copies(card, matrices @ scale(1.0))
-
-
-def _towards(direction: Array) -> Array:
-    from lambent.render.procedural.geometry import frame_to
-
-    return frame_to(direction)
+    up = unit(directions + [0, 0, upright] + rng.normal(size=(count, 3)) * 0.5)
+    # A random vector across each card's axis turns it about that axis.
+    side = unit(np.cross(up, rng.normal(size=(count, 3))))
+    matrices = np.zeros((count, 4, 4))
+    matrices[:, :3, 0], matrices[:, :3, 1], matrices[:, :3, 2] = side, np.cross(up, side), up
+    matrices[:, :3, 3], matrices[:, 3, 3] = spots, 1
+    return copies(card, matrices)
 
 
 def blades(
@@ -320,11 +351,3 @@ def cushion(rng: np.random.Generator, x: float, y: float, z: float, level: int =
     g = super_ellipsoid((x / 2, y / 2, z / 2), rng.uniform(0.5, 0.9), rng.uniform(0.3, 0.5), level)
     noise = solid_noise(rng, g.positions * 9, 3)
     return Geometry(g.positions + g.normals * (0.03 * z * noise[:, None]), g.normals, g.uv, g.faces)
-
-
-def terrain_height(rng: np.random.Generator, n: int, relief_m: float, rough: float) -> Array:
-    """Heights ``(n, n)`` in metres, nearly flat in the middle so that things can stand there."""
-    h = fbm(rng, (n, n), (3, 3), 6, rough)
-    y, x = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j]
-    flat = np.clip((np.hypot(x, y) - 0.12) / 0.75, 0.03, 1) ** 1.5
-    return h * relief_m * flat

@@ -198,10 +198,10 @@ def marble(rng: np.random.Generator, colours: list[Colour], n: int = 512) -> Cov
     return Cover(np.clip(picture, 0, 1), 1 - vein * 0.5, 1 + 0.3 * vein, 1.2)
 
 
-def concrete(rng: np.random.Generator, colour: Colour, n: int = 512) -> Cover:
+def concrete(rng: np.random.Generator, colour: Colour, n: int = 256) -> Cover:
     """Clouds, streaks, pores."""
     cloud = fbm(rng, (n, n), (3, 3), 6, 0.6)
-    first, _, _ = cells(rng, (n, n), (28, 28))
+    first, _, _ = cells(rng, (n, n), (20, 20))
     pores = np.clip(first * 7 - 0.4, 0, 1) ** 0.5
     pores = np.where(value_noise(rng, (n, n), (9, 9)) > 0.1, pores, 1)
     stain = np.clip(value_noise(rng, (n, n), (2, 40)) * fbm(rng, (n, n), (2, 2)), 0, 1)
@@ -210,7 +210,7 @@ def concrete(rng: np.random.Generator, colour: Colour, n: int = 512) -> Cover:
     return Cover(picture, 0.4 * cloud + 0.6 * pores, 1 + 0.2 * cloud, 1.6)
 
 
-def stones(rng: np.random.Generator, colour: Colour, n: int = 512) -> Cover:
+def stones(rng: np.random.Generator, colour: Colour, n: int = 256) -> Cover:
     """Cobbles, or cracked earth: cells with dark gaps."""
     k = int(rng.choice([5, 8, 12]))
     first, second, number = cells(rng, (n, n), (k, k), 0.8)
@@ -223,7 +223,7 @@ def stones(rng: np.random.Generator, colour: Colour, n: int = 512) -> Cover:
     return Cover(picture, gap * (1 - 0.4 * first**2) + 0.1 * grit, 1 - 0.1 * gap, k * 0.12)
 
 
-def ground(rng: np.random.Generator, colours: list[Colour], n: int = 512) -> Cover:
+def ground(rng: np.random.Generator, colours: list[Colour], n: int = 384) -> Cover:
     """Earth, sand, grass, snow: colours mixed by noise of all scales."""
     a, b = fbm(rng, (n, n), (3, 3), 7, 0.6), fbm(rng, (n, n), (8, 8), 6, 0.7)
     speck = value_noise(rng, (n, n), (n // 2, n // 2))

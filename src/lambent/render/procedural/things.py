@@ -46,10 +46,16 @@ def hollow(outer: Array, wall: float) -> Array:
 def _profile(rng: Rng, height: float, girth: float) -> Array:
     """A random vessel's outside ``(7, 2)``: foot, belly, neck, lip."""
     z = np.linspace(0, 1, 6) * height
-    r = girth * np.array([
-        rng.uniform(0.4, 0.8), rng.uniform(0.7, 1.1), rng.uniform(0.8, 1.2),
-        rng.uniform(0.4, 1.0), rng.uniform(0.25, 0.7), rng.uniform(0.35, 0.9),
-    ])  # fmt: skip
+    r = girth * np.array(
+        [
+            rng.uniform(0.4, 0.8),
+            rng.uniform(0.7, 1.1),
+            rng.uniform(0.8, 1.2),
+            rng.uniform(0.4, 1.0),
+            rng.uniform(0.25, 0.7),
+            rng.uniform(0.35, 0.9),
+        ]
+    )
     return np.concatenate([[[0, 0]], np.stack([r, z], -1)])
 
 
@@ -80,8 +86,12 @@ def bouquet(rng: Rng, height: float) -> list[Part]:
         path[:, :2] *= np.linspace(0.15, 1, 8)[:, None]
         stalks.append(tube(path, 0.006 * height, 5))
         if rng.random() < 0.75:
-            petals = [sf.leaf_card(0.1 * height, 0.16 * height, 0.9).moved(rotate("z", a) @ rotate("x", 0.5))
-                      for a in np.linspace(0, 2 * np.pi, 7)[:-1]]  # fmt: skip
+            petals = [
+                sf.leaf_card(0.1 * height, 0.16 * height, 0.9).moved(
+                    rotate("z", a) @ rotate("x", 0.5)
+                )
+                for a in np.linspace(0, 2 * np.pi, 7)[:-1]
+            ]
             blossoms.append(merge(petals).moved(translate(*path[-1])))
         leaf = sf.leaf_card(0.16 * height, 0.35 * height, 0.6)
         leaves.append(
@@ -99,8 +109,17 @@ def bottle(rng: Rng, size: float) -> list[Part]:
     r = h * rng.uniform(0.11, 0.2)
     neck = r * rng.uniform(0.25, 0.45)
     shoulder = rng.uniform(0.5, 0.7)
-    p = np.array([[0, 0], [r * 0.9, 0.0], [r, 0.03 * h], [r, 0.3 * h], [r, shoulder * h],
-                  [neck, (shoulder + 0.15) * h], [neck, 0.95 * h]])  # fmt: skip
+    p = np.array(
+        [
+            [0, 0],
+            [r * 0.9, 0.0],
+            [r, 0.03 * h],
+            [r, 0.3 * h],
+            [r, shoulder * h],
+            [neck, (shoulder + 0.15) * h],
+            [neck, 0.95 * h],
+        ]
+    )
     role = str(
         rng.choice(
             ["glass", "tinted", "plastic", "ceramic", "frosted"], p=[0.5, 0.2, 0.15, 0.1, 0.05]
@@ -134,8 +153,18 @@ def drinking_glass(rng: Rng, size: float) -> list[Part]:
         p = np.array([[0, 0], [r * 0.75, 0], [r * 0.8, 0.02 * h], [r * 0.9, 0.5 * h], [r, h]])
         base, low = 0.06 * h, 0.78 * r
     else:
-        p = np.array([[0, 0], [r * 0.85, 0], [r * 0.8, 0.02 * h], [0.07 * r, 0.08 * h], [0.07 * r, 0.42 * h],
-                      [r * 0.75, 0.55 * h], [r, 0.75 * h], [r * 0.8, h]])  # fmt: skip
+        p = np.array(
+            [
+                [0, 0],
+                [r * 0.85, 0],
+                [r * 0.8, 0.02 * h],
+                [0.07 * r, 0.08 * h],
+                [0.07 * r, 0.42 * h],
+                [r * 0.75, 0.55 * h],
+                [r, 0.75 * h],
+                [r * 0.8, h],
+            ]
+        )
         outside = p[4:]
         inside = outside[::-1] * [0.95, 1]
         inside[-1] = [0, 0.46 * h]
@@ -254,22 +283,21 @@ def statue(rng: Rng, size: float) -> list[Part]:
             (extrude(outline, size, taper=rng.uniform(0.3, 1), twist=rng.uniform(-2.5, 2.5)), role)
         ]
     if kind == 1:
-        r = size * 0.4
+        wide = size * 0.4
+        amount, frequency = rng.uniform(0.1, 0.4), rng.uniform(1, 3)
         ridged = bool(rng.random() < 0.4)
-        return [(sf.displaced(rng, (r, r, r), rng.uniform(0.1, 0.4), rng.uniform(1, 3), ridged=ridged,
-                              level=5).moved(translate(0, 0, r * 0.95)), role)]  # fmt: skip
+        blob = sf.displaced(rng, (wide, wide, wide), amount, frequency, ridged=ridged, level=5)
+        return [(blob.moved(translate(0, 0, wide * 0.95)), role)]
     if kind == 2:
         parts: list[Part] = []
         z = 0.0
         for _ in range(int(rng.integers(2, 5))):
-            r = size * rng.uniform(0.12, 0.22)
-            shape = (r * rng.uniform(0.7, 1.2), r * rng.uniform(0.7, 1.2), r * rng.uniform(0.5, 1))
-            solid = super_ellipsoid(
-                shape, rng.choice([0.15, 0.5, 1, 1.8]), rng.choice([0.15, 0.5, 1, 1.8])
-            )
-            roles = [role, "wood", "marble", "metal", "gloss"]
-            parts.append((solid.moved(translate(0, 0, z + shape[2])), str(rng.choice(roles))))
-            z += 2 * shape[2] * 0.985
+            wide = size * rng.uniform(0.12, 0.22)
+            rx, ry, rz = (wide * float(v) for v in rng.uniform([0.7, 0.7, 0.5], [1.2, 1.2, 1]))
+            e1, e2 = (float(v) for v in rng.choice([0.15, 0.5, 1, 1.8], 2))
+            solid = super_ellipsoid((rx, ry, rz), e1, e2).moved(translate(0, 0, z + rz))
+            parts.append((solid, str(rng.choice([role, "wood", "marble", "metal", "gloss"]))))
+            z += 2 * rz * 0.985
         return parts
     if kind == 3:
         return [
@@ -300,8 +328,17 @@ def clutter(rng: Rng, size: float) -> list[Part]:
     """Boxes, balls, dice, pebbles, a phone, keys on a ring."""
     kind = rng.integers(6)
     if kind == 0:
-        return [(box(size * rng.uniform(0.4, 1), size * rng.uniform(0.3, 0.7), size * rng.uniform(0.15, 0.5), 0.01 * size),
-                 str(rng.choice(["wood", "lacquer", "metal", "gloss"])))]  # fmt: skip
+        return [
+            (
+                box(
+                    size * rng.uniform(0.4, 1),
+                    size * rng.uniform(0.3, 0.7),
+                    size * rng.uniform(0.15, 0.5),
+                    0.01 * size,
+                ),
+                str(rng.choice(["wood", "lacquer", "metal", "gloss"])),
+            )
+        ]
     if kind == 1:
         r = size * rng.uniform(0.15, 0.4)
         role = str(rng.choice(["glass", "mirror", "gloss", "metal", "rubber", "marble", "tinted"]))
@@ -356,8 +393,11 @@ def candle(rng: Rng, size: float) -> list[Part]:
     )
     wax = np.array([[0, 0], [r, 0], [r, h], [0.8 * r, h - 0.05 * r], [0, h - 0.15 * r]])
     wick = tube(np.array([[0, 0, h - 0.2 * r], [0, 0, h], [0.05 * r, 0, h + 0.3 * r]]), 0.03 * r, 5)
-    return [(lathe(holder, 32), "metal"), (lathe(wax, 24, smooth=1).moved(translate(0, 0, 0.5 * r)), "paper" if False else "trim"),
-            (wick, "rubber")]  # fmt: skip
+    return [
+        (lathe(holder, 32), "metal"),
+        (lathe(wax, 24, smooth=1).moved(translate(0, 0, 0.5 * r)), "trim"),
+        (wick, "rubber"),
+    ]
 
 
 def potted(rng: Rng, size: float) -> list[Part]:
@@ -418,8 +458,12 @@ def cup(rng: Rng, size: float) -> list[Part]:
         ]
     )
     drink = lathe(np.array([[0.93 * r, 0.8 * h], [0, 0.8 * h]]), 24, smooth=1)
-    return [(lathe(hollow(p, 0.06 * r), 32), "ceramic"), (tube(handle, 0.08 * r, 8), "ceramic"),
-            (lathe(saucer, 36), "ceramic"), (drink, "black")]  # fmt: skip
+    return [
+        (lathe(hollow(p, 0.06 * r), 32), "ceramic"),
+        (tube(handle, 0.08 * r, 8), "ceramic"),
+        (lathe(saucer, 36), "ceramic"),
+        (drink, "black"),
+    ]
 
 
 def fragments(rng: Rng, size: float) -> list[Part]:
@@ -440,9 +484,19 @@ def curved_cord(rng: Rng, size: float) -> list[Part]:
 
 
 _MAKERS: list[tuple[Callable[[Rng, float], list[Part]], float]] = [
-    (vase, 2.0), (bottle, 1.5), (drinking_glass, 1.3), (bowl, 1.6), (statue, 1.8), (clutter, 1.5),
-    (candle, 0.5), (potted, 0.8), (wire_thing, 0.4), (cup, 0.9), (fragments, 0.5), (curved_cord, 0.2),
-]  # fmt: skip
+    (vase, 2.0),
+    (bottle, 1.5),
+    (drinking_glass, 1.3),
+    (bowl, 1.6),
+    (statue, 1.8),
+    (clutter, 1.5),
+    (candle, 0.5),
+    (potted, 0.8),
+    (wire_thing, 0.4),
+    (cup, 0.9),
+    (fragments, 0.5),
+    (curved_cord, 0.2),
+]
 
 
 def thing(rng: Rng, size: float) -> list[Part]:
