@@ -163,3 +163,21 @@ class BrokenSource(FakeSource):
         if job == 0:
             raise RuntimeError("no such plug-in")
         return super().scene(seed, job, frames)
+
+
+class SlowView(FakeView):
+    """Takes its time, so that something can happen meanwhile."""
+
+    def sample(self, window: Window, spp: int, seed: int) -> FakeSamples:
+        time.sleep(0.05)
+        return super().sample(window, spp, seed)
+
+
+class SlowSource(FakeSource):
+    """Like the fake source, slowly."""
+
+    def scene(self, seed: int, job: int, frames: int) -> FakeScene:
+        made = super().scene(seed, job, frames)
+        quick = made.views
+        made.views = lambda camera: [SlowView(**vars(view)) for view in quick(camera)]
+        return made

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 import queue
+import socket
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable, Iterator
@@ -70,17 +71,25 @@ def _connected(address: str) -> Any:
         ) from error
     if not ray.is_initialized():
         try:
+            _knock(address)
             ray.init(
                 address=None if address == "local" else address,
                 log_to_driver=False,
                 configure_logging=False,
             )
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # Ray ends the process where nobody answers
             raise EngineError(
                 f"there is no Ray cluster at '{address}': {error}",
                 remedy="start one with 'ray start --head', or use --cluster local",
             ) from error
     return ray
+
+
+def _knock(address: str) -> None:
+    """Raise `OSError` soon where nobody listens: Ray itself tries for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=5).close()
 
 
 class _Crew:
