@@ -8,7 +8,7 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 OUT    := out
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check docs bench lock clean
+.PHONY: help demo test check docs blender lock clean
 
 help:  ## list what there is to make
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -34,14 +34,20 @@ docs: $(VENV)/.dev  ## build the documentation to docs/_build/html, warnings are
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
+blender: $(VENV)-blender/.done  ## an environment with Blender for the tests (Python 3.11 only)
+	@echo "export LAMBENT_BLENDER=$$PWD/$(VENV)-blender/bin/python"
+
 lock:  ## renew the lock files (names, versions, hashes)
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
-	    --quiet pyproject.toml --extra test --extra docs --extra check -o requirements/dev.lock
+	    --quiet pyproject.toml --extra test --extra docs --extra check --extra cluster \
+	    -o requirements/dev.lock
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
 	    --quiet pyproject.toml -c requirements/dev.lock -o requirements/base.lock
+	echo 'bpy>=5.0' | uv pip compile --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	    --quiet - -o requirements/blender.lock
 
 clean:  ## remove what make made
-	rm -rf $(VENV) $(OUT) docs/_build docs/_generated
+	rm -rf $(VENV) $(VENV)-blender $(OUT) docs/_build docs/_generated
 
 # ---------------------------------------------------------------- environments
 
@@ -58,4 +64,11 @@ $(VENV)/.base: $(VENV)/bin/python requirements/base.lock pyproject.toml
 
 $(VENV)/.dev: $(VENV)/.base requirements/dev.lock
 	$(PIP) install --require-hashes -r requirements/dev.lock
+	@touch $@
+
+# Blender's wheel wants an older NumPy than ours, so it has an environment of its own.
+$(VENV)-blender/.done: requirements/blender.lock
+	$(PYTHON) -m venv $(VENV)-blender
+	$(VENV)-blender/bin/python -m pip --disable-pip-version-check --quiet install \
+	    --require-hashes -r requirements/blender.lock
 	@touch $@
