@@ -107,7 +107,7 @@ class CameraPlan:
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """A scene: see the module. ``centre`` is about where there is something to see."""
+    """A scene: see the module. ``tags`` say what it holds (``living``, ``night``, ``medium`` …)."""
 
     kind: str
     seed: int

@@ -98,12 +98,13 @@ def holes_for(rng: np.random.Generator, length: float, height: float) -> list[Ho
     ]
 
 
-def shell(stage: Stage, w: float, d: float, h: float, lit_by_day: bool) -> float:
-    """Floor, ceiling, four walls with windows, skirting, curtains; returns the window area."""
+def shell(stage: Stage, w: float, d: float, h: float, lit_by_day: bool) -> tuple[float, set[int]]:
+    """Floor, ceiling, four walls with windows, skirting, curtains; returns the area of the
+    windows and the numbers of the walls that have them."""
     rng = stage.rng
     stage.add([(quad(w + 2 * _WALL, d + 2 * _WALL), "floor")])
     stage.add([(quad(w + 1, d + 1).moved(translate(0, 0, h) @ rotate("x", np.pi)), "ceiling")])
-    glazed = 0.0
+    glazed, open_sides = 0.0, set[int]()
     order = rng.permutation(4)
     windows = int(rng.integers(1, 4)) if lit_by_day else int(rng.random() < 0.6)
     accent = int(rng.integers(4)) if rng.random() < 0.4 else -1
@@ -123,10 +124,11 @@ def shell(stage: Stage, w: float, d: float, h: float, lit_by_day: bool) -> float
             stage.add(window_frame(rng, hole), pose, solid=False)
             glazed += (hole[1] - hole[0]) * (hole[3] - hole[2])
         if holes:
+            open_sides.add(int(side))
             _dress_windows(stage, holes, pose, h)
         elif rng.random() < 0.4:
             _door(stage, length, pose)
-    return glazed
+    return glazed, open_sides
 
 
 def _note_wall(stage: Stage, length: float, h: float, pose: Array) -> None:
@@ -423,11 +425,11 @@ def room(stage: Stage) -> list[CameraPlan]:
     if time != "day":
         stage.tags.add("lamps_on")
     stage.tags.update({theme, time})
-    glazed = shell(stage, w, d, h, time != "night")
+    glazed, open_sides = shell(stage, w, d, h, time != "night")
     floor = Floor(w, d)
     middle = _THEMES[theme](stage, floor, h)
     _along_walls(stage, floor, h)
-    _on_walls(stage, w, d, h)
+    _on_walls(stage, w, d, open_sides)
     _ceiling_lights(stage, w, d, h, middle)
     _expose(stage, time, glazed, (w, d, h))
     fog = _haze(stage, w, d, h) if rng.random() < 0.04 else None
@@ -493,26 +495,20 @@ def _along_walls(stage: Stage, floor: Floor, h: float) -> None:
                 stage.add(fu.chair(rng), pose, movable="chair")
 
 
-def _on_walls(stage: Stage, w: float, d: float, h: float) -> None:
-    """Pictures where no window is (they may hang over shelves), a wall shelf."""
+def _on_walls(stage: Stage, w: float, d: float, open_sides: set[int]) -> None:
+    """Pictures on walls without windows (they may hang over shelves)."""
     rng = stage.rng
     for side in range(4):
-        if rng.random() < 0.3:
+        if side in open_sides or rng.random() < 0.2:
             continue
         length, away = (w, d / 2) if side % 2 == 0 else (d, w / 2)
         pose = rotate("z", side * np.pi / 2) @ translate(0, away - 0.004, 0)
-        if any(_hits_window(stage, pose, x, length) for x in (0.0,)):
-            continue
         n = int(rng.integers(1, 4))
         for k in range(n):
             pw, ph = rng.uniform(0.25, 1.0), rng.uniform(0.3, 0.8)
             x = ((k + 0.5) / n - 0.5) * min(length - 0.8, n * 1.1)
             at = pose @ translate(x, 0, rng.uniform(1.45, 1.65) if ph < 0.7 else 1.55)
             stage.add(fu.picture(rng, pw, ph), at)
-
-
-def _hits_window(stage: Stage, pose: Array, x: float, length: float) -> bool:
-    return bool(stage.rng.random() < 0.35)
 
 
 def _expose(stage: Stage, time: str, glazed: float, size: tuple[float, float, float]) -> None:

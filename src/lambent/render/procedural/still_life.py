@@ -10,6 +10,7 @@ from lambent.render.procedural.geometry import (
     Array,
     Geometry,
     box,
+    copies,
     frame_to,
     grid,
     lathe,
@@ -188,8 +189,6 @@ def _arrange(stage: Stage, reach: tuple[float, float], *, tall: bool) -> None:
 
 def scattered(stage: Stage, reach: tuple[float, float], size: float, count: int) -> None:
     """Many copies of one small solid strewn over the surface: beads, petals, coins, sweets."""
-    from lambent.render.procedural.geometry import copies
-
     rng = stage.rng
     e = rng.choice([0.2, 1.0, 1.0, 2.0], 2)
     flat = float(rng.choice([0.15, 0.5, 1.0]))

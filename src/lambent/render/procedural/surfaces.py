@@ -22,6 +22,7 @@ from lambent.render.procedural.geometry import (
     merge,
     rotate,
     smooth_normals,
+    super_ellipsoid,
     translate,
     tube,
     unit,
@@ -346,8 +347,6 @@ def cloth(
 
 def cushion(rng: np.random.Generator, x: float, y: float, z: float, level: int = 24) -> Geometry:
     """A pillow: a flat super-ellipsoid with wrinkles."""
-    from lambent.render.procedural.geometry import super_ellipsoid
-
     g = super_ellipsoid((x / 2, y / 2, z / 2), rng.uniform(0.5, 0.9), rng.uniform(0.3, 0.5), level)
     noise = solid_noise(rng, g.positions * 9, 3)
     return Geometry(g.positions + g.normals * (0.03 * z * noise[:, None]), g.normals, g.uv, g.faces)

@@ -7,7 +7,6 @@ seen through noise, marble is a warped stripe ("An Image Synthesizer", Perlin 19
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -381,10 +380,3 @@ def normal_map(height: Array, strength: float) -> Array:
     dy = (np.roll(height, -1, 0) - np.roll(height, 1, 0)) * strength
     n = np.stack([-dx, -dy, np.ones_like(height)], -1)
     return n / np.linalg.norm(n, axis=-1, keepdims=True) * 0.5 + 0.5
-
-
-#: What a colour of its own makes into a cover, for whoever wants any of them.
-OF_COLOUR: dict[str, Callable[..., Cover]] = {
-    "plain": plain, "wood": wood, "planks": planks, "bricks": bricks, "fabric": fabric,
-    "concrete": concrete, "stones": stones,
-}  # fmt: skip

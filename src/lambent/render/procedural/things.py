@@ -17,6 +17,7 @@ from lambent.render.procedural.geometry import (
     box,
     catmull_rom,
     extrude,
+    grid,
     lathe,
     merge,
     quad,
@@ -139,8 +140,6 @@ def bottle(rng: Rng, size: float) -> list[Part]:
             np.broadcast_arrays(r * 1.012 * np.sin(a), -r * 1.012 * np.cos(a), z[:, None]), -1
         )
         uv = np.stack(np.broadcast_arrays((a / 2.4 + 0.5), np.array([0.0, 1])[:, None]), -1)
-        from lambent.render.procedural.geometry import grid
-
         parts.append((grid(label, uv), str(rng.choice(["paper", "poster"]))))
     return parts
 
