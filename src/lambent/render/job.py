@@ -35,7 +35,7 @@ from lambent.render.accumulate import (
 )
 from lambent.render.animation import Animation, Keyframes, Stage, disoccluded, read_keyframes
 from lambent.render.moments import Moments
-from lambent.render.scene import LoadedScene, film_size, load
+from lambent.render.scene import LoadedScene, film_size, integrator_name, load
 
 if TYPE_CHECKING:
     from lambent.render.sampling import FrameSampler
@@ -249,7 +249,7 @@ class _Job:
 
     def _stamp(self, sampler: FrameSampler, number: int | None) -> Stamp:
         width, height = film_size(self.loaded.sensor)
-        integrator = "path" if self.integrator is None else self.integrator.class_name()
+        integrator = integrator_name(self.integrator) or "path"
         groups = {k: sorted(v) for k, v in (self.light_groups or {}).items()}
         return Stamp(
             self.loaded.digest,

@@ -8,8 +8,10 @@ in a note where the scene asks for another filter.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +61,7 @@ def load(
     `UnknownNameError` (no such camera).
     """
     mi = mitsuba(device)
+    importlib.import_module("lambent.render.integrator")  # a scene may name our plug-in
     path = None
     if isinstance(source, (str, os.PathLike)):
         path = Path(source)
@@ -202,7 +205,7 @@ def _notes(scene: Any, sensor: Any) -> tuple[str, ...]:
             "several pixels, so that their noise is correlated; rendered with a box filter."
         )
     integrator = scene.integrator()
-    name = integrator.class_name() if integrator is not None else ""
+    name = integrator_name(integrator)
     if name and name not in (*OWN_PATHS, *VOLUMETRIC):
         notes.append(
             f"The scene asks for the integrator {name}; rendered by path tracing "
@@ -221,6 +224,14 @@ def _digest_of_file(path: Path, parameters: Mapping[str, Any]) -> str:
         if file.is_file():
             digest.update(name + hashlib.sha256(file.read_bytes()).digest())
     return digest.hexdigest()
+
+
+def integrator_name(integrator: Any) -> str:
+    """The class of an integrator; one written in Python is known by its Python class."""
+    if integrator is None:
+        return ""
+    name = type(integrator).__name__
+    return str(integrator.class_name()) if hasattr(sys.modules["mitsuba"], name) else name
 
 
 def has_media(scene: Any) -> bool:
