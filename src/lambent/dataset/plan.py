@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.validation import SEEDS
@@ -84,20 +85,20 @@ def jobs(recipe: Recipe, missing: dict[str, set[int]]) -> Iterator[Job]:
 def level_spp(recipe: Recipe, job: Job, item: int) -> tuple[int, ...]:
     """The spp of an item's noise levels, rising, all different where the range allows.
 
-    A scene has its own range within the recipe's, an item draws from it. Powers of two, of which
-    2^k is drawn with a probability in proportion to 2^(-tk); t makes the mean ``mean_spp``.
+    A scene has a highest level of its own: a power of two, log-uniform up to a knee (`kneed`) such
+    that its mean is ``mean_spp``. Its items draw from that level and those below, the more rarely
+    the further, and now and then from one above.
     """
     choices = powers(*recipe.spp)
     still = job.what == STILL
     count = recipe.levels if still else recipe.clip_levels
     mean = recipe.mean_spp if still else recipe.clip_mean_spp
-    weights = tilted(choices, mean)
+    weights = kneed(choices, mean)
     random = generator(recipe, job.what, "levels", job.number)
-    # The scene's range: a log-spaced stretch of the recipe's, so that some scenes are all noise
-    # and some nearly clean.
-    centre = random.choice(len(choices), p=weights)
-    spread = 2.0 ** random.uniform(0.5, 2.0)
-    near = np.exp(-0.5 * ((np.arange(len(choices)) - centre) / spread) ** 2) + 1e-9
+    top = random.choice(len(choices), p=weights)
+    above = np.arange(len(choices)) - top
+    spread = np.where(above > 0, 0.5, 2.0 ** random.uniform(0.5, 2.0))
+    near = np.exp(-0.5 * (above / spread) ** 2) + 1e-12
     near /= near.sum()
     random = generator(recipe, job.what, "levels", job.number, item)
     drawn = random.choice(len(choices), min(count, len(choices)), replace=False, p=near)
@@ -110,13 +111,16 @@ def powers(low: int, high: int) -> tuple[int, ...]:
     return tuple(2**k for k in range(first, last + 1)) or (low,)
 
 
-def tilted(choices: tuple[int, ...], mean: float) -> np.ndarray:
-    """Probabilities in proportion to ``spp^-t`` whose mean is ``mean``, as near as it goes."""
+def kneed(choices: tuple[int, ...], mean: float) -> NDArray[np.float64]:
+    """Probabilities that are even up to a knee and then fall, 1 / (1 + (spp / knee)^2).
+
+    The knee makes their mean ``mean``, as near as it goes.
+    """
     values = np.array(choices, np.float64)
-    low, high = -8.0, 8.0
+    low, high = -20.0, 30.0
     for _ in range(60):
-        tilt = (low + high) / 2
-        weights = (values / values[-1]) ** -tilt
+        knee = (low + high) / 2
+        weights = 1 / (1 + (values / 2.0**knee) ** 2)
         weights /= weights.sum()
-        low, high = (tilt, high) if weights @ values > mean else (low, tilt)
+        low, high = (knee, high) if weights @ values < mean else (low, knee)
     return weights

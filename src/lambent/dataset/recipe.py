@@ -39,8 +39,8 @@ class Recipe:
     ``kinds``: kinds of scenes the source knows, empty for all; ``scenes``: files, for the sources
     that read files; ``seeds``: seeds of the scenes one after the other, empty for random ones.
     ``items_per_scene`` crops are cut from ``cameras_per_scene`` views of a scene.
-    ``levels`` noise levels a crop, of ``spp`` (lowest, highest), log-spaced, such that their
-    expected mean is ``mean_spp``. The target takes ``target_spp`` and at least
+    ``levels`` noise levels a crop, of ``spp`` (lowest, highest), log-spaced; ``mean_spp`` is about
+    the mean of the highest one. The target takes ``target_spp`` and at least
     ``target_over_level`` times the highest level, then more until its expected relMSE is
     ``target_error`` or it has ``target_most`` spp. ``uniform``: share of the crops that are chosen
     without looking at what is in them. ``vary``: change materials and lights of scene files.
@@ -64,7 +64,7 @@ class Recipe:
     mean_spp: float = 24.0
     target_spp: int = 128
     target_most: int = 256
-    target_error: float = 0.05
+    target_error: float = 0.1
     target_over_level: float = 2.0
     depth: int = 12
     clips_per_scene: int = 2
