@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,3 +146,24 @@ def test_levels_are_log_spaced_with_the_mean_asked_for(recipe):
     # Chosen per scene: within one the levels are more alike than between scenes.
     logs = np.log2(np.array(found, float)).mean(axis=1).reshape(600, 4)
     assert logs.mean(axis=1).std() > 1.5 * logs.std(axis=1).mean()
+
+
+def test_the_documentation_has_every_key_with_its_default():
+    text = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text()
+    text = text.partition("## Recipes")[2]
+    table = [line for line in text.splitlines() if line.startswith("| `")]
+    told = {}
+    for line in table:
+        keys, defaults, _ = (cell.strip() for cell in line[1:-1].split("|", 2))
+        names = [key.strip("` ") for key in keys.split(",")]
+        values = json.loads(f"[{defaults}]") if defaults[:1] in tuple('0123456789["t') else []
+        told.update(dict(zip(names, values, strict=False)) if values else dict.fromkeys(names))
+        if len(values) == 1:
+            told.update(dict.fromkeys(names, values[0]))
+    recipe = Recipe(name="x", seed=1)
+    for key, default in recipe.as_dict().items():
+        if key in ("name", "seed"):
+            continue
+        assert key in told, f"docs/dataset.md does not tell of '{key}'"
+        if default:
+            assert told[key] == default, key

@@ -8,6 +8,7 @@ structure is known) and the later ones are counted apart.
 
 from __future__ import annotations
 
+import copy
 import gc
 import os
 from collections.abc import Mapping, Sequence
@@ -249,13 +250,13 @@ class FileSource(_MitsubaSource):
             raise OptionError(
                 "the recipe names no scene", remedy='add a line: scenes = ["kitchen/scene.xml"]'
             )
-        self._open: tuple[str, Any, dict[str, Any]] | None = None
+        self._open: tuple[str, Any, dict[str, Any], _Tripod] | None = None
 
     def scene(self, seed: int, job: int, frames: int) -> MitsubaScene:
         """A variation of one of the files; they take turns."""
         path = self.recipe.scenes[job % len(self.recipe.scenes)]
         with self.phases("build"):
-            scene, original = self._loaded(path)
+            scene, original, tripod = self._loaded(path)
             random = np.random.Generator(np.random.PCG64(seed))
             params = self.mi.traverse(scene)
             for key, value in original.items():
@@ -264,15 +265,14 @@ class FileSource(_MitsubaSource):
                 for key, value in original.items():
                     params[key] = type(params[key])(varied(key, value, random))
             params.update()
-            places = _Tripod(self.mi, scene, seed)
         file = Path(path)
         name = file.parent.name if file.stem == "scene" else file.stem
         about = {"kind": name, "scene": name, "seed": seed}
         count = self.recipe.cameras_per_scene
-        return MitsubaScene(self, scene, about, count, frames, places)
+        return MitsubaScene(self, scene, about, count, frames, tripod.at(seed))
 
-    def _loaded(self, path: str) -> tuple[Any, dict[str, Any]]:
-        """The scene of a file, and the values that vary as the file has them."""
+    def _loaded(self, path: str) -> tuple[Any, dict[str, Any], _Tripod]:
+        """The scene of a file, and what varies as the file has it: values, and the camera."""
         from lambent.render.scene import load
 
         if self._open is None or self._open[0] != path:
@@ -281,8 +281,8 @@ class FileSource(_MitsubaSource):
             scene = load(path, size=self.recipe.view, device=self.device).scene
             params = self.mi.traverse(scene)
             original = {k: np.array(params[k]).copy() for k, _ in params if _varies(k)}
-            self._open = (path, scene, original)
-        return self._open[1], self._open[2]
+            self._open = (path, scene, original, _Tripod(self.mi, scene))
+        return self._open[1:]
 
 
 _COLOURS = ("reflectance.value", "base_color.value", "specular_transmittance.value")
@@ -318,14 +318,20 @@ def varied(key: str, value: Any, random: np.random.Generator) -> Any:
 class _Tripod:
     """Random cameras around a file's own: turned, moved, with other focal lengths."""
 
-    def __init__(self, mi: Any, scene: Any, seed: int) -> None:
+    def __init__(self, mi: Any, scene: Any) -> None:
         params = mi.traverse(scene.sensors()[0])
         self.home = np.array(params["to_world"].matrix, float).reshape(4, 4)
         if "x_fov" not in params:
             raise UnfitSceneError("its sensor is no perspective camera")
         self.fov = float(np.array(params["x_fov"]).ravel()[0])
-        self.seed = seed
+        self.seed = 0
         self.reach = self._reach(mi, scene)
+
+    def at(self, seed: int) -> _Tripod:
+        """The cameras of a variation."""
+        other = copy.copy(self)
+        other.seed = seed
+        return other
 
     def animation(self, camera: int) -> Animation:
         """The camera drifts and turns steadily."""
@@ -357,7 +363,9 @@ class _Tripod:
 
     def _reach(self, mi: Any, scene: Any) -> float:
         """How far the home camera sees, straight ahead."""
-        ray = mi.Ray3f(mi.Point3f(*self.home[:3, 3]), mi.Vector3f(*self.home[:3, 2]))
+        ray = mi.Ray3f(
+            mi.Point3f(self.home[:3, 3].tolist()), mi.Vector3f(self.home[:3, 2].tolist())
+        )
         far = float(np.array(scene.ray_intersect_preliminary(ray).t).ravel()[0])
         return far if np.isfinite(far) else 1.0
 
