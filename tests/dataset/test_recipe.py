@@ -155,6 +155,7 @@ def test_the_documentation_has_every_key_with_its_default():
     told = {}
     for line in table:
         keys, defaults, _ = (cell.strip() for cell in line[1:-1].split("|", 2))
+        defaults = defaults.strip("`")
         names = [key.strip("` ") for key in keys.split(",")]
         values = json.loads(f"[{defaults}]") if defaults[:1] in tuple('0123456789["t') else []
         told.update(dict(zip(names, values, strict=False)) if values else dict.fromkeys(names))
