@@ -248,6 +248,14 @@ def test_tiles_equal_the_whole():
     )
 
 
+def test_without_llvm_of_our_own_the_result_is_the_same(monkeypatch):
+    """On a GPU, or where LLVM's library is not found by name, Dr.Jit's kernels do the work."""
+    frame, _ = rendered(20, 26)
+    fast = NFOR(radius=3)(frame).colour
+    monkeypatch.setattr("lambent.filters.nfor.available", lambda device: False)
+    np.testing.assert_allclose(NFOR(radius=3)(frame).colour, fast, atol=2e-4)
+
+
 def test_options():
     assert create("nfor", radius="5", second="no") == NFOR(radius=5, second=False)
     for wrong in ({"stride": "0"}, {"radius": "0"}):

@@ -51,6 +51,9 @@ from lambent.filters.nfor_tuned import NFORTuned, finite, noisy_roles
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat
+from lambent.kernels.dense_nlm import channel_mean, least_weight_rows
+from lambent.kernels.dense_regression import dense_first_order
+from lambent.kernels.machine import available
 from lambent.kernels.nlm import PatchSearch, nlm_mean
 from lambent.kernels.regression import Window, first_order, least_weights
 
@@ -72,7 +75,7 @@ class NFOR(Denoiser):
 
     ``patch``: half side of the patches that weights compare; ``k``: the wider of the two
     bandwidths, the other is half of it; ``second``: whether the result is regressed again (5.4);
-    ``stride``: distance of window centres (the paper's: 1; 2 is four times as fast).
+    ``stride``: distance of window centres (the paper's: 1).
     """
 
     radius: int = 9
@@ -129,7 +132,13 @@ class NFOR(Denoiser):
         return dataclasses.replace(self, _scales=scales, _noisy=noisy)
 
     def bytes_per_pixel(self, channels: int) -> int:
-        """The weights of a window for every centre, and the coefficients of its regression."""
+        """The weights of a window for every centre, and the coefficients of its regression.
+
+        With a centre at every pixel only some rows of them are in memory at a time: 0.9 GB in all
+        at 1280x720.
+        """
+        if self.stride == 1 and available(self.device):
+            return int(4 * (320 + 24 * channels))
         centres = 1 / self.stride**2
         window = (2 * self.radius + 1) ** 2
         return int(4 * (centres * (window + 330) + 200 + 24 * channels))
@@ -196,16 +205,13 @@ class NFOR(Denoiser):
         assert variance is not None  # there are halves
         variance = np.array(np.broadcast_to(variance, colour.shape))
         features_a, features_b, features_both = self._features(frame)
-        window = Window(self.radius, self.patch, self.stride)
         fits = []
         for own, more, other, guide in (
             (half_a, more_a, half_b, features_b),
             (half_b, more_b, half_a, features_a),
         ):
-            weights = least_weights(other, 2 * variance, window, self.device, self.k)
             images = np.concatenate([own, more], axis=2)
-            fits.append(first_order(weights, guide, images, _POWERS, _RIDGE))
-            del weights
+            fits.append(self._fit(other, 2 * variance, guide, images, _POWERS))
         errors = [
             estimated_error(a[:, :, :3], b[:, :, :3], half_a, half_b, variance)
             for a, b in zip(*fits, strict=True)
@@ -218,28 +224,37 @@ class NFOR(Denoiser):
             return both
         guide = both[:, :, :3]
         spread = ((b - a)[:, :, :3] ** 2 / 4).astype(np.float32)
-        weights = least_weights(guide, 2 * spread, window, self.device, self.k)
-        return first_order(weights, features_both, both, (1,), _RIDGE)[0]
+        return self._fit(guide, 2 * spread, features_both, both, (1,))[0]
+
+    def _fit(
+        self,
+        guide: FloatImage,
+        variance: FloatImage,
+        seen: FloatImage,
+        images: FloatImage,
+        powers: tuple[int, ...],
+    ) -> list[FloatImage]:
+        """``images`` regressed on the features ``seen``, with weights from ``guide``."""
+        if self.stride == 1 and available(self.device):
+            rows = least_weight_rows(guide, variance, self.radius, self.patch, self.k, self.device)
+            return dense_first_order(rows, seen, images, powers, _RIDGE)
+        window = Window(self.radius, self.patch, self.stride)
+        weights = least_weights(guide, variance, window, self.device, self.k)
+        return first_order(weights, seen, images, powers, _RIDGE)
 
     def _share_of_wide(
         self, errors: list[FloatImage], colour: FloatImage, variance: FloatImage
     ) -> FloatImage:
         """How much of the wider bandwidth each channel of each pixel takes ``(H, W, 3)`` (5.3)."""
         share = np.empty_like(colour)
-        numbers = (_CHOICE_K**2, 1.0, _EPSILON)
         for c in range(colour.shape[2]):
             part = slice(c, c + 1)
-            search = PatchSearch.of(
-                colour[:, :, part],
-                variance[:, :, part],
-                _CHOICE_RADIUS,
-                _CHOICE_PATCH,
-                numbers=numbers,
-                device=self.device,
-            )
-            maps = nlm_mean(np.concatenate([e[:, :, part] for e in errors], axis=2), search)
+            image, spread = colour[:, :, part], variance[:, :, part]
+            sizes = (_CHOICE_RADIUS, _CHOICE_PATCH, _CHOICE_K)
+            both = np.concatenate([e[:, :, part] for e in errors], axis=2)
+            maps = self._nlm(both, image, spread, *sizes)
             wider = (maps[:, :, :1] >= maps[:, :, 1:]).astype(np.float32)
-            share[:, :, part] = nlm_mean(wider, search)
+            share[:, :, part] = self._nlm(wider, image, spread, *sizes)
         return share
 
     def _features(self, frame: Frame) -> tuple[FloatImage, FloatImage, FloatImage]:
@@ -275,12 +290,19 @@ class NFOR(Denoiser):
         return a, b, self._nlm(both, both, apart, _FEATURE_AGAIN)
 
     def _nlm(
-        self, image: FloatImage, guide: FloatImage, variance: FloatImage, radius: int
+        self,
+        image: FloatImage,
+        guide: FloatImage,
+        variance: FloatImage,
+        radius: int,
+        patch: int = _FEATURE_PATCH,
+        k: float = _FEATURE_K,
     ) -> FloatImage:
-        numbers = (_FEATURE_K**2, 1.0, _EPSILON)
-        search = PatchSearch.of(
-            guide, variance, radius, _FEATURE_PATCH, numbers=numbers, device=self.device
-        )
+        """``image`` ``(H, W, C)`` filtered with the weights of one channel."""
+        numbers = (k * k, 1.0, _EPSILON)
+        if available(self.device):
+            return channel_mean(image, guide, variance, radius, patch, numbers, self.device)
+        search = PatchSearch.of(guide, variance, radius, patch, numbers=numbers, device=self.device)
         return nlm_mean(image, search)
 
     def _half_features(self, frame: Frame, stat: Stat) -> Features:

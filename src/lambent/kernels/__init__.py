@@ -25,9 +25,13 @@ How a kernel is written here
    borders are renormalised weights: nothing is reflected, and a NaN pixel never spreads.
 6. A result of one kernel that the next reads at offsets is wrapped in an `arrays.Plane`; compute it
    ``extend`` rows further than the image where the reader looks up or down.
-7. A public function ends in NumPy, which waits for the engine while its inputs are still alive.
+7. What this form does not reach, loops in loops with sums in registers and planes in the cache, is
+   written as LLVM code in `machine`: NFOR's `dense_nlm` and `dense_regression` only, each beside
+   the Dr.Jit kernel that it is tested against.
+8. A public function ends in NumPy, which waits for the engine while its inputs are still alive.
 
 Files: `arrays` (the above), `exponential` (a fast exp), `extremes` (greater, smaller), `window`
 (weighted windows), `nlm` (patch distances and their windows), `atrous` (the wavelet), `separable`
-(box and Gaussian means).
+(box and Gaussian means), `regression` (planes in feature space), `machine` (LLVM code),
+`dense_nlm` and `dense_regression` (NFOR's, in it).
 """

@@ -12,10 +12,10 @@ from typing import Any
 from lambent.kernels.extremes import greater
 
 #: 2^f on [-1/2, 1/2], degree 4, least relative error (3e-6).
-_POLYNOMIAL = (9.57010145e-3, 5.59178603e-2, 2.40247448e-1, 6.93121815e-1, 9.99999261e-1)
-_LOG2_E = 1.4426950408889634
+POLYNOMIAL = (9.57010145e-3, 5.59178603e-2, 2.40247448e-1, 6.93121815e-1, 9.99999261e-1)
+LOG2_E = 1.4426950408889634
 #: 1.5·2^23: adding it rounds a float to the nearest integer, which then is its low bits.
-_ROUND = 12582912.0
+ROUND = 12582912.0
 
 
 def exp_weight(x: Any) -> Any:
@@ -27,11 +27,11 @@ def exp_weight(x: Any) -> Any:
 
     kind = type(x)
     integer = dr.int32_array_t(kind)
-    y = greater(x * _LOG2_E, -126.0)
-    rounded = y + _ROUND
-    fraction = y - (rounded - _ROUND)
-    power: Any = kind(_POLYNOMIAL[0])
-    for coefficient in _POLYNOMIAL[1:]:
+    y = greater(x * LOG2_E, -126.0)
+    rounded = y + ROUND
+    fraction = y - (rounded - ROUND)
+    power: Any = kind(POLYNOMIAL[0])
+    for coefficient in POLYNOMIAL[1:]:
         power = dr.fma(power, fraction, coefficient)
     bits: Any = dr.reinterpret_array(integer, power)
     exponent: Any = dr.reinterpret_array(integer, rounded)

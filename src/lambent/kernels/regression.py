@@ -408,7 +408,7 @@ def _fit(weights: Weights, features: Image, images: Image, power: int, ridge: fl
     sums = list(done[6:])
     gram = {pair: sums[m] for m, pair in enumerate(pairs)}
     right = [[sums[len(pairs) + i * C + c] for c in range(C)] for i in range(n)]
-    beta = _solve(dr, gram, right, n, C, ridge)
+    beta = solve(gram, right, n, C, ridge)
     # From differences to the centre, to absolute features: nothing of the centre is needed later.
     for c in range(C):
         beta[0][c] = beta[0][c] + yc[c]
@@ -592,8 +592,7 @@ def _from_centres(
     return block.image(means)
 
 
-def _solve(
-    dr: Any,
+def solve(
     gram: dict[tuple[int, int], Any],
     right: list[list[Any]],
     n: int,
@@ -603,6 +602,8 @@ def _solve(
     """Cholesky LDLᵀ without square roots, in registers. A pivot that has lost all its energy
     belongs to a feature that others explain: its coefficient is 0.
     """
+    import drjit as dr
+
     energy = [gram[(i, i)] for i in range(n)]
     lower: dict[tuple[int, int], Any] = {}
     inverse: list[Any] = []
