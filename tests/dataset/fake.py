@@ -94,7 +94,10 @@ class FakeView:
         layers, middle = truth(self.seed, size, size[0] / self.size[0], self.shift)
         return self._sampled(layers, middle, spp, seed).frame()
 
-    def sample(self, window: Window, spp: int, seed: int) -> FakeSamples:
+    def sample(self, draws) -> list[FakeSamples]:
+        return [self.one(draw.window, draw.spp, draw.seed) for draw in draws]
+
+    def one(self, window: Window, spp: int, seed: int) -> FakeSamples:
         time.sleep(float(os.environ.get("LAMBENT_FAKE_SLEEP", "0")))
         layers, middle = truth(self.seed, self.size, 1.0, self.shift)
         rows = slice(window.y, window.y + window.edge)
@@ -168,9 +171,9 @@ class BrokenSource(FakeSource):
 class SlowView(FakeView):
     """Takes its time, so that something can happen meanwhile."""
 
-    def sample(self, window: Window, spp: int, seed: int) -> FakeSamples:
+    def one(self, window: Window, spp: int, seed: int) -> FakeSamples:
         time.sleep(0.05)
-        return super().sample(window, spp, seed)
+        return super().one(window, spp, seed)
 
 
 class SlowSource(FakeSource):

@@ -19,6 +19,7 @@ from fake import truth
 import lambent.dataset
 from conftest import write_recipe
 from lambent.cli import main
+from lambent.dataset import produce
 from lambent.dataset.check import verify
 from lambent.dataset.make import default_folder, make
 from lambent.errors import FileError, OptionError
@@ -96,6 +97,17 @@ def test_the_number_of_processes_changes_nothing(recipe, made, tmp_path):
     make(recipe, tmp_path / "two", processes=2)
     assert contents(tmp_path / "two") == contents(made)
     assert lines(tmp_path / "two") == lines(made)
+
+
+def test_the_size_of_the_batch_changes_nothing(recipe, made, tmp_path, monkeypatch):
+    from lambent.dataset import workers
+
+    for size in (1, 3):
+        monkeypatch.setattr(
+            workers, "attempt", lambda *args, size=size: produce.attempt(*args, batch=size)
+        )
+        make(recipe, tmp_path / f"by{size}")
+        assert contents(tmp_path / f"by{size}") == contents(made)
 
 
 def test_growing_keeps_what_is_there(recipe, made, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from lambent.dataset.mitsuba_source import FileSource, ProceduralSource, varied
 from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import Window
+from lambent.dataset.source import Draw, Window
 from lambent.errors import OptionError, UnknownNameError
 from lambent.frame.role import Role
 
@@ -52,7 +52,8 @@ def test_a_file_s_variation_depends_on_its_seed_alone(files):
 
     def render(seed: int, camera: int = 0) -> np.ndarray:
         (view,) = source.scene(seed, 0, 1).views(camera)
-        return view.sample(window, 16, 3).frame().colour
+        (made,) = view.sample([Draw(window, 16, 3)])
+        return made.frame().colour
 
     first = render(7)
     other = render(8)
@@ -67,7 +68,7 @@ def test_a_window_is_that_part_of_the_view(files):
     source = FileSource(dataclasses.replace(files, vary=False), "auto", Phases())
     (view,) = source.scene(3, 0, 1).views(0)
     whole = view.pilot((64, 48), 64, 1)
-    part = view.sample(Window(20, 10, 32), 64, 2).frame()
+    part = view.sample([Draw(Window(20, 10, 32), 64, 2)])[0].frame()
     for role in (Role.DEPTH, Role.ALBEDO):
         error = np.abs(part[role] - whole[role][10:42, 20:52])
         assert np.median(error) < 0.01 * np.abs(part[role]).mean()
@@ -102,7 +103,7 @@ def test_a_clip_s_motion_leads_to_the_still_before(files):
     source = FileSource(dataclasses.replace(files, vary=False), "auto", Phases())
     views = source.scene(5, 0, 3).views(0)
     window = Window(8, 4, 32)
-    before, now = (v.sample(window, 64, 1).frame() for v in views[1:])
+    before, now = (v.sample([Draw(window, 64, 1)])[0].frame() for v in views[1:])
     motion = now[Role.MOTION]
     assert np.abs(motion).max() > 0.05
     rows, columns = np.mgrid[6:26, 6:26]

@@ -21,8 +21,8 @@ WINDOW = Window(90, 20, 32)
 
 def still(seed: int = 1, spp: tuple[int, ...] = (1, 4), shift: float = 0.0) -> Still:
     view = FakeView(seed, (192, 96), shift, motion=True)
-    levels = tuple(view.sample(WINDOW, n, 10 + n).frame() for n in spp)
-    return Still(levels, view.sample(WINDOW, 64, 99).frame())
+    levels = tuple(view.one(WINDOW, n, 10 + n).frame() for n in spp)
+    return Still(levels, view.one(WINDOW, 64, 99).frame())
 
 
 def stored(item: Item, tmp_path) -> Item:

@@ -40,7 +40,7 @@ class Renderer:
     def work(self, job: Job) -> Iterator[Made | Failed | dict[str, float]]:
         """The items of a job, then the seconds they took by kind of work."""
         self.phases.seconds.clear()
-        yield from attempt(self.recipe, self.source, job, self.phases)
+        yield from attempt(self.recipe, self.source, job, self.phases, batch=1)
         yield dict(self.phases.seconds)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from lambent.dataset.item import Still
 from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import Window
+from lambent.dataset.source import Draw
 from lambent.errors import OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 
@@ -169,11 +169,14 @@ class BlendView:
         """The whole picture, small."""
         return self._render(size, spp, seed)
 
-    def sample(self, window: Window, spp: int, seed: int) -> RenderedSamples:
-        """A window of the whole picture."""
-        frame = self._render(self.scene.source.recipe.view, spp, seed)
-        x, y, edge = window.x, window.y, window.edge
-        return RenderedSamples((frame.crop(y, y + edge, x, x + edge),))
+    def sample(self, draws: Sequence[Draw]) -> list[RenderedSamples]:
+        """Windows of the whole picture, each from a render of its own."""
+        made = []
+        for draw in draws:
+            frame = self._render(self.scene.source.recipe.view, draw.spp, draw.seed)
+            x, y, edge = draw.window.x, draw.window.y, draw.window.edge
+            made.append(RenderedSamples((frame.crop(y, y + edge, x, x + edge),)))
+        return made
 
     def _render(self, size: tuple[int, int], spp: int, seed: int) -> Frame:
         from lambent.render.cycles import render_blend

@@ -9,6 +9,7 @@ structure is known) and the later ones are counted apart.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import gc
 import os
 from collections.abc import Mapping, Sequence
@@ -20,14 +21,16 @@ import numpy as np
 
 from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import UnfitSceneError, Window
+from lambent.dataset.source import Draw, UnfitSceneError
 from lambent.errors import OptionError
 from lambent.frame.frame import Frame
 from lambent.render.variant import mitsuba
 
 if TYPE_CHECKING:
-    from lambent.render.animation import Animation
+    from lambent.render.animation import Animation, Pose
+    from lambent.render.moments import Moments
     from lambent.render.procedural.plan import ScenePlan
+    from lambent.render.sampling import Request
 
 #: What is kept beside the colour (`lambent.render.channels`).
 FEATURES = "light,features"
@@ -123,10 +126,13 @@ class _Places:
         """Parameters of the sensor that differ from camera to camera."""
         chosen = self.plan.cameras[camera]
         return {
-            "x_fov": chosen.fov,
             "aperture_radius": chosen.aperture_radius or 1e-5,
             "focus_distance": chosen.focus_distance,
         }
+
+    def fov(self, camera: int) -> float:
+        """Degrees across the wider side."""
+        return self.plan.cameras[camera].fov
 
     def medium(self, camera: int) -> int | None:
         """The medium that a camera stands in."""
@@ -150,7 +156,8 @@ class MitsubaScene:
         self.sensor = scene.sensors()[0]
         self.params = source.mi.traverse(self.sensor)
         self._now: tuple[Any, ...] = ()
-        self._stages: dict[int, Any] = {}
+        self._camera = 0
+        self._stage: Any = None
         self._sampler: Any = None
         self._fresh = True
 
@@ -161,47 +168,43 @@ class MitsubaScene:
         return [MitsubaView(self, camera, k) for k in range(self.frames)]
 
     def sample(
-        self, camera: int, frame: int, size: tuple[int, int], window: Window | None, spp: int,
-        seed: int,
-    ) -> Any:  # fmt: skip
-        """Moments of a window (None: the whole picture of ``size``)."""
-        wanted = (camera, frame, size, window)
+        self, camera: int, frame: int, size: tuple[int, int], requests: Sequence[Request]
+    ) -> list[Moments]:
+        """Moments of windows of the picture of ``size``, by one launch of one kernel."""
+        wanted = (camera, frame, size)
         if wanted != self._now:
             with self.source.phases("set up"):
-                self._set_up(camera, frame, size, window)
+                self._set_up(*wanted)
             self._now = wanted
         if not self._fresh:
-            return self._sampler.sample(spp, seed)
+            return self._sampler.sample_windows(requests)
         with self.source.phases("first pass of a scene"):
             self._fresh = False
-            return self._sampler.sample(spp, seed)
+            return self._sampler.sample_windows(requests)
 
-    def _set_up(
-        self, camera: int, frame: int, size: tuple[int, int], window: Window | None
-    ) -> None:
+    def _set_up(self, camera: int, frame: int, size: tuple[int, int]) -> None:
         import drjit as dr
 
         from lambent.render.animation import Stage
         from lambent.render.sampling import FrameSampler
 
         mi, params = self.source.mi, self.params
-        if self._now[:1] != (camera,):
-            for name, value in self.places.lens(camera).items():
-                if name in params:
-                    params[name] = dr.opaque(mi.Float, value)
-            self._stages = {camera: Stage(mi, self.scene, self.sensor, self._animation(camera))}
-        x, y, width, height = (0, 0, *size) if window is None else (
-            window.x, window.y, window.edge, window.edge
-        )  # fmt: skip
+        if self._stage is None:
+            # One stage for all cameras: it remembers where things were when the scene was built.
+            self._stage = Stage(mi, self.scene, self.sensor, self._pose)
+        self._camera = camera
+        for name, value in self.places.lens(camera).items():
+            if name in params:
+                params[name] = dr.opaque(mi.Float, value)
         params["film.size"] = mi.ScalarVector2u(*size)
-        params["film.crop_size"] = mi.ScalarVector2u(width, height)
-        params["film.crop_offset"] = mi.ScalarPoint2u(x, y)
+        params["film.crop_size"] = mi.ScalarVector2u(*size)
+        params["film.crop_offset"] = mi.ScalarPoint2u(0, 0)
         params.update()
         motion = None
         if self.frames > 1:
-            motion = self._stages[camera].motion(frame + 1, frame)
+            motion = self._stage.motion(frame + 1, frame)
         elif self._now[:1] != (camera,):
-            self._stages[camera].pose(0)
+            self._stage.pose(0)
         if self._sampler is None or motion is not None:
             self._sampler = FrameSampler(
                 self.scene,
@@ -211,9 +214,9 @@ class MitsubaScene:
                 motion=motion,
             )
 
-    def _animation(self, camera: int) -> Animation:
-        made: Animation = self.places.animation(camera)
-        return made
+    def _pose(self, frame: float) -> Pose:
+        pose: Pose = self.places.animation(self._camera)(frame)
+        return dataclasses.replace(pose, fov=self.places.fov(self._camera))
 
 
 @dataclass(frozen=True)
@@ -226,13 +229,22 @@ class MitsubaView:
 
     def pilot(self, size: tuple[int, int], spp: int, seed: int) -> Frame:
         """The whole picture, small."""
-        frame: Frame = self.scene.sample(self.camera, self.number, size, None, spp, seed).frame()
-        return frame
+        from lambent.render.sampling import Request
 
-    def sample(self, window: Window, spp: int, seed: int) -> Any:
-        """Moments of a window of the view."""
+        whole = [Request(0, 0, *size, spp, seed)]
+        (moments,) = self.scene.sample(self.camera, self.number, size, whole)
+        return moments.frame()
+
+    def sample(self, draws: Sequence[Draw]) -> list[Moments]:
+        """Moments of windows of the view."""
+        from lambent.render.sampling import Request
+
         view = self.scene.source.recipe.view
-        return self.scene.sample(self.camera, self.number, view, window, spp, seed)
+        requests = [
+            Request(d.window.x, d.window.y, d.window.edge, d.window.edge, d.spp, d.seed)
+            for d in draws
+        ]
+        return self.scene.sample(self.camera, self.number, view, requests)
 
 
 # ---------------------------------------------------------------- scenes from files
@@ -323,7 +335,7 @@ class _Tripod:
         self.home = np.array(params["to_world"].matrix, float).reshape(4, 4)
         if "x_fov" not in params:
             raise UnfitSceneError("its sensor is no perspective camera")
-        self.fov = float(np.array(params["x_fov"]).ravel()[0])
+        self.home_fov = float(np.array(params["x_fov"]).ravel()[0])
         self.seed = 0
         self.reach = self._reach(mi, scene)
 
@@ -352,10 +364,14 @@ class _Tripod:
         return pose
 
     def lens(self, camera: int) -> Mapping[str, float]:
-        """Another field of view for each camera."""
+        """The file's own."""
+        return {}
+
+    def fov(self, camera: int) -> float:
+        """Another field of view for each camera, in degrees across the picture."""
         random = np.random.Generator(np.random.PCG64([self.seed, camera, 1]))
-        half = np.tan(np.radians(self.fov) / 2) * 2 ** random.uniform(-0.8, 0.3)
-        return {"x_fov": float(np.degrees(2 * np.arctan(half)))}
+        half = np.tan(np.radians(self.home_fov) / 2) * 2 ** random.uniform(-0.8, 0.3)
+        return float(np.degrees(2 * np.arctan(half)))
 
     def medium(self, camera: int) -> None:
         """All cameras stand where the file's does."""

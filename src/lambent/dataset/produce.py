@@ -30,6 +30,7 @@ from lambent.dataset.plan import (
 )
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import (
+    Draw,
     Scene,
     Source,
     UnfitSceneError,
@@ -42,6 +43,9 @@ from lambent.errors import LambentError
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
 
+#: So many crops of a camera are rendered together on this machine. It changes nothing in them;
+#: recording the kernel takes 0.3 s, and this many crops are lost when a process is killed.
+BATCH = 4
 #: So many scenes are tried in the place of one that is unfit.
 ATTEMPTS = 8
 
@@ -76,31 +80,34 @@ class _Set:
     rejected: tuple[str, ...]
 
 
-def produce(recipe: Recipe, source: Source, job: Job, phases: Phases) -> Iterator[Made]:
+def produce(
+    recipe: Recipe, source: Source, job: Job, phases: Phases, batch: int = BATCH
+) -> Iterator[Made]:
     """The items of a job, one after the other. Raises `LambentError` if no scene is fit."""
     start = time.perf_counter()
     found = _find(recipe, source, job, phases)
     spent = time.perf_counter() - start
-    views: dict[int, Any] = {}
-    for index in sorted(job.items, key=lambda i: (found.crops[_place(recipe, job, i)][0], i)):
+    for items in _batches(recipe, job, found, batch):
         start = time.perf_counter()
-        camera, _ = found.crops[_place(recipe, job, index)]
-        if not isinstance(found.scene, WholeScene) and camera not in views:
-            with phases("scene"):
-                views = {camera: found.scene.views(camera)}
-        item = _item(recipe, job, index, views.get(camera), found, phases)
-        with phases("encode"):
-            content = packed(item)
-            sha = hashlib.sha256(content).hexdigest()
-        # The scene's own time is shared by its items.
-        seconds = time.perf_counter() - start + spent / len(job.items)
-        yield Made(job.what, index, content, sha, dict(item.about), seconds)
+        drawn = _batch(recipe, job, items, found, phases)
+        # What is common to several items is shared by them.
+        shared = (time.perf_counter() - start) / len(items) + spent / len(job.items)
+        for index, stills in zip(items, drawn, strict=True):
+            start = time.perf_counter()
+            with phases("encode"):
+                about = _about(recipe, job, index, found, stills)
+                content = packed(Item(stills, about))
+                sha = hashlib.sha256(content).hexdigest()
+            seconds = time.perf_counter() - start + shared
+            yield Made(job.what, index, content, sha, about, seconds)
 
 
-def attempt(recipe: Recipe, source: Source, job: Job, phases: Phases) -> Iterator[Made | Failed]:
+def attempt(
+    recipe: Recipe, source: Source, job: Job, phases: Phases, batch: int = BATCH
+) -> Iterator[Made | Failed]:
     """Like `produce`; what goes wrong with a scene becomes a `Failed`, so that others go on."""
     try:
-        yield from produce(recipe, source, job, phases)
+        yield from produce(recipe, source, job, phases, batch)
     except Exception as error:  # whatever a renderer raises for one scene
         yield Failed(job, f"{type(error).__name__}: {error}")
 
@@ -171,19 +178,86 @@ def _crops(
     return tuple(crops[:total])
 
 
-def _item(recipe: Recipe, job: Job, index: int, views: Any, found: _Set, phases: Phases) -> Item:
-    camera, choice = found.crops[_place(recipe, job, index)]
-    spp = level_spp(recipe, job, index)
-    if isinstance(found.scene, WholeScene):
-        least = _least(recipe, job, spp)
-        stills = list(found.scene.stills(camera, recipe.crop, spp, least))
-        _ = [_sound(frame) for still in stills for frame in (*still.levels, still.target)]
-    else:
-        stills = [
-            _still(recipe, job, index, k, view, choice, spp, phases) for k, view in enumerate(views)
+def _batches(recipe: Recipe, job: Job, found: _Set, batch: int) -> list[list[int]]:
+    """The items of a job, in groups of one camera that are rendered together."""
+    size = batch if job.what == STILL and not isinstance(found.scene, WholeScene) else 1
+    by_camera: dict[int, list[int]] = {}
+    for index in sorted(job.items):
+        by_camera.setdefault(found.crops[_place(recipe, job, index)][0], []).append(index)
+    return [items[k : k + size] for items in by_camera.values() for k in range(0, len(items), size)]
+
+
+def _batch(
+    recipe: Recipe, job: Job, items: list[int], found: _Set, phases: Phases
+) -> list[tuple[Still, ...]]:
+    """The stills of some items of one camera."""
+    camera = found.crops[_place(recipe, job, items[0])][0]
+    scene = found.scene
+    if isinstance(scene, WholeScene):
+        made = []
+        for index in items:
+            spp = level_spp(recipe, job, index)
+            stills = scene.stills(camera, recipe.crop, spp, _least(recipe, job, spp))
+            _ = [_sound(frame) for still in stills for frame in (*still.levels, still.target)]
+            made.append(stills)
+        return made
+    with phases("scene"):
+        views = scene.views(camera)
+    by_frame = [_frame(recipe, job, items, k, v, found, phases) for k, v in enumerate(views)]
+    return [tuple(stills) for stills in zip(*by_frame, strict=True)]
+
+
+def _frame(
+    recipe: Recipe, job: Job, items: list[int], frame: int, view: View, found: _Set, phases: Phases
+) -> list[Still]:
+    """One still of each item: levels and the least targets at once, then more for some targets."""
+    draws: list[Draw] = []
+    levels = {index: level_spp(recipe, job, index) for index in items}
+    windows = {index: found.crops[_place(recipe, job, index)][1].window for index in items}
+    for index, spp in levels.items():
+        for n, count in enumerate(spp):
+            seed = number(recipe, job.what, index, frame, "level", n)
+            draws.append(Draw(windows[index], count, seed))
+        seed = number(recipe, job.what, index, frame, "target", 0)
+        draws.append(Draw(windows[index], _least(recipe, job, spp), seed))
+    with phases("samples"):
+        samples = iter(view.sample(draws))
+    noisy: dict[int, tuple[Frame, ...]] = {}
+    totals: dict[int, Any] = {}
+    for index, spp in levels.items():
+        noisy[index] = tuple(_sound(next(samples).frame()) for _ in spp)
+        totals[index] = next(samples)
+    targets = {index: _sound(total.frame()) for index, total in totals.items()}
+    # A clip's frames are alike: more for one of them would make it flicker.
+    step = 1
+    while job.what == STILL:
+        more = {
+            index: max(_least(recipe, job, levels[index]) // 2, 2)
+            for index in items
+            if relative_error(targets[index]) > recipe.target_error
+        }
+        more = {i: n for i, n in more.items() if totals[i].spp + n <= recipe.target_most}
+        if not more:
+            break
+        draws = [
+            Draw(windows[i], n, number(recipe, job.what, i, frame, "target", step))
+            for i, n in more.items()
         ]
+        with phases("more samples for targets"):
+            for index, extra in zip(more, view.sample(draws), strict=True):
+                totals[index] = totals[index] + extra
+                targets[index] = _sound(totals[index].frame())
+        step += 1
+    return [Still(noisy[index], targets[index]) for index in items]
+
+
+def _about(
+    recipe: Recipe, job: Job, index: int, found: _Set, stills: tuple[Still, ...]
+) -> dict[str, Any]:
+    """What an item's file says of it."""
+    camera, choice = found.crops[_place(recipe, job, index)]
     window = choice.window
-    about = {
+    return {
         "what": job.what,
         "index": index,
         "recipe": recipe.name,
@@ -196,58 +270,18 @@ def _item(recipe: Recipe, job: Job, index: int, views: Any, found: _Set, phases:
         "view": list(recipe.view),
         "window": [window.x, window.y, window.edge],
         "frames": len(stills),
-        "spp": list(spp),
+        "spp": list(level_spp(recipe, job, index)),
         "target_spp": [still.target.spp for still in stills],
         "target_error": [round(relative_error(still.target), 6) for still in stills],
         "score": round(choice.score, 5),
         "density": round(choice.density, 5),
     }
-    return Item(tuple(stills), about)
-
-
-def _still(
-    recipe: Recipe, job: Job, index: int, frame: int, view: View, choice: Choice,
-    spp: tuple[int, ...], phases: Phases,
-) -> Still:  # fmt: skip
-    levels = []
-    for n, count in enumerate(spp):
-        with phases("noise levels"):
-            seed = number(recipe, job.what, index, frame, "level", n)
-            levels.append(_sound(view.sample(choice.window, count, seed).frame()))
-    with phases("target"):
-        target = _target(recipe, job, index, frame, view, choice, spp)
-    return Still(tuple(levels), target)
 
 
 def _least(recipe: Recipe, job: Job, spp: tuple[int, ...]) -> int:
     """The samples per pixel that a target takes at least."""
     wanted = recipe.target_spp if job.what == STILL else recipe.clip_target_spp
     return max(wanted, round(recipe.target_over_level * max(spp)))
-
-
-def _target(
-    recipe: Recipe,
-    job: Job,
-    index: int,
-    frame: int,
-    view: View,
-    choice: Choice,
-    spp: tuple[int, ...],
-) -> Frame:
-    least = _least(recipe, job, spp)
-    more = max(least // 2, 2)
-    total, done = None, 0
-    for step in range(1 << 20):
-        seed = number(recipe, job.what, index, frame, "target", step)
-        samples = view.sample(choice.window, least if total is None else more, seed)
-        total = samples if total is None else total + samples
-        done = total.spp
-        made = _sound(total.frame())
-        # A clip's frames are alike: more for one of them would make it flicker.
-        enough = job.what != STILL or relative_error(made) <= recipe.target_error
-        if enough or done + more > recipe.target_most:
-            break
-    return made
 
 
 def _sound(frame: Frame) -> Frame:

@@ -30,6 +30,15 @@ class Window:
     edge: int
 
 
+@dataclass(frozen=True)
+class Draw:
+    """A wish for samples of a window: ``spp`` a pixel, with the random numbers of ``seed``."""
+
+    window: Window
+    spp: int
+    seed: int
+
+
 class Samples(Protocol):
     """A render of a window; more of the same can be added."""
 
@@ -50,8 +59,8 @@ class View(Protocol):
     def pilot(self, size: tuple[int, int], spp: int, seed: int) -> Frame:
         """The whole picture, small and quick: colour with variance, and features."""
 
-    def sample(self, window: Window, spp: int, seed: int) -> Samples:
-        """A window of the whole picture; another seed draws other samples."""
+    def sample(self, draws: Sequence[Draw]) -> Sequence[Samples]:
+        """Windows of the whole picture, all at once; what a draw gives depends on it alone."""
 
 
 class Scene(Protocol):

@@ -1,7 +1,7 @@
 """The work of a data set on this machine, in this process or in several.
 
 A worker gets a job, sends back each item when it is finished, and asks for the next. One that dies
-(memory, a crash of the renderer) costs the item it was at: the rest of its job goes to another.
+(memory, a crash of the renderer) costs the items it was at: the rest of its job goes to another.
 Workers ignore Ctrl-C and end when the process that started them has ended, however it did.
 """
 
