@@ -71,13 +71,33 @@ def test_the_picture_and_the_numbers_can_be_saved(tmp_path):
 
     shown = explain(frame(), "cross-bilateral", 5, 6)
     saved = Image.open(shown.save(tmp_path / "weights.png"))
-    assert saved.width > 2 * saved.height * 0.8
+    assert saved.width > 2 * (saved.height - 50) * 0.8
     assert Image.open(io.BytesIO(shown.png())).size == saved.size
     numbers = shown.as_dict()
     assert numbers["pixel"] == [5, 6]
     assert np.array(numbers["weights"]).sum() == pytest.approx(numbers["sum"], abs=1e-5)
     with pytest.raises(OutputError, match="another place"):
         shown.save(tmp_path / "no" / "weights.png")
+
+
+def test_the_legend_shows_the_scale_and_the_mark():
+    """Under the map: colours from the smallest weight to the greatest, a green frame, letters."""
+    import dataclasses
+
+    shown = explain(frame(), "cross-bilateral", 30, 20, radius=3)
+    picture = shown.picture()
+    rows = 55 * 7  # 7 weights a side at 54 or more screen pixels each
+    legend = picture[-50:]
+    assert picture.shape[0] < rows + 50
+    bar = legend[16]
+    assert bar[13].max() < 60  # w = 0 is black
+    middle = picture.shape[1] // 2
+    assert bar[middle - 26].min() > 240  # the greatest is white
+    assert (legend == (0, 255, 128)).all(axis=2).sum() > 40
+    assert (legend[28:, : middle // 2] > 150).any()  # letters
+    signed = dataclasses.replace(shown, least=-shown.greatest).picture()[-50:][16]
+    assert signed[13, 2] > 240
+    assert signed[(middle - 12) // 2].max() < 60  # zero lies in the middle
 
 
 def test_negative_weights_are_blue():

@@ -337,6 +337,15 @@ def test_explain_refuses_pixels_that_are_none(noisy, capsys, pixel):
     assert capsys.readouterr().err.startswith("error: ")
 
 
+@pytest.mark.parametrize("command", [["denoise"], ["explain", "--pixel", "1,2"]])
+def test_a_wrong_option_is_told_before_a_missing_file(command, tmp_path, capsys):
+    missing = str(tmp_path / "no.exr")
+    assert main([*command, missing, "--model", "nforr"]) == 4
+    assert "did you mean nfor" in capsys.readouterr().err
+    assert main([*command, missing, "--model", "nlm", "--set", "radios=3"]) == 4
+    assert "radius" in capsys.readouterr().err
+
+
 def test_doctor_is_well_here(capsys):
     found = run_json(capsys, "doctor", "--no-speed")
     names = [check["name"] for check in found["checks"]]

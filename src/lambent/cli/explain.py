@@ -51,11 +51,13 @@ def explain(
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.errors import OutputError
+    from lambent.filters.denoiser import create
     from lambent.filters.explain import explain as find_weights
     from lambent.frame.files import read
     from lambent.frame.repair import repair
 
     x, y = _pixel(pixel)
+    denoiser = create(model, **pairs("--set", setting))  # a wrong option before a missing file
     if output is not None and output.exists() and not overwrite:
         raise OutputError(
             "this file exists already", file=output, remedy="allow replacing it with --overwrite"
@@ -65,7 +67,7 @@ def explain(
         noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None))
         truth = None if reference is None else read(reference).colour
         progress.report(0, 1, f"weights of {model}")
-        found = find_weights(noisy, model, x, y, reference=truth, **pairs("--set", setting))
+        found = find_weights(noisy, denoiser, x, y, reference=truth)
         if output is not None:
             from lambent.frame.atomic import atomic
 

@@ -35,6 +35,10 @@ from lambent.frame.tonemap import auto_exposure, to_uint8
 _CHUNK = 512
 #: Side of each half of the picture, in pixels, at least.
 _PICTURE = 384
+#: The legend under the picture: its height, that of its bar, and the size of its letters.
+_LEGEND, _BAR, _LETTERS = 50, 14, 13
+#: Paper and ink of the legend, and the frame around the pixel.
+_PAPER, _INK, _MARK = (24, 24, 24), (225, 225, 225), (0, 255, 128)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,8 @@ class Explanation:
         """``(h, w, 3)``: the weights as a heat map beside the beauty, the pixel marked in both.
 
         Brightness goes with the square root of |w| (small weights stay visible): black, red,
-        yellow, white for positive ones; blue for negative ones.
+        yellow, white for positive ones; blue for negative ones. Below them a legend: the colours
+        from the smallest weight to the greatest, and the mark of the pixel.
         """
         zoom = max(1, _PICTURE // max(self.weights.shape))
         x, y = self.pixel[0] - self.origin[0], self.pixel[1] - self.origin[1]
@@ -91,7 +96,37 @@ class Explanation:
             large = np.repeat(np.repeat(image, zoom, axis=0), zoom, axis=1)
             pictures.append(_marked(large, x, y, zoom))
         gap = np.full((pictures[0].shape[0], 8, 3), 128, np.uint8)
-        return np.concatenate([pictures[0], gap, pictures[1]], axis=1)
+        both = np.concatenate([pictures[0], gap, pictures[1]], axis=1)
+        return np.concatenate([both, self._legend(both.shape[1])], axis=0)
+
+    def _legend(self, width: int) -> NDArray[np.uint8]:
+        """``(_LEGEND, width, 3)``: a bar of the weights' colours, and what the mark stands for."""
+        from PIL import Image, ImageDraw, ImageFont
+
+        paper = Image.new("RGB", (width, _LEGEND), _PAPER)
+        pen, font = ImageDraw.Draw(paper), ImageFont.load_default(_LETTERS)
+        low, high = min(self.least, 0.0), max(self.greatest, 0.0)
+        left, right, top = 12, width // 2 - 24, 9
+        scale = np.linspace(low, high, right - left)[None].repeat(_BAR, axis=0)
+        most = max(-self.least, self.greatest)
+        paper.paste(Image.fromarray(heat(scale, most)), (left, top))
+        pen.rectangle((left - 1, top - 1, right, top + _BAR), outline=(110, 110, 110))
+        below = top + _BAR + 4
+        words = {low: ("la", left), high: ("ra", right)}
+        if low < 0 < high:
+            zero = left + (right - left) * -low / (high - low)
+            # not where it would run into the ends
+            if min(zero - left, right - zero) > 70:
+                words[0.0] = ("ma", zero)
+        for value, (anchor, at) in words.items():
+            said = "w = 0" if value == 0 else f"w = {value:.3g}"
+            pen.text((at, below), said, _INK, font, anchor=anchor)
+        start = width // 2 + 12
+        pen.rectangle((start, top, start + _BAR - 1, top + _BAR - 1), outline=_MARK)
+        x, y = self.pixel
+        pen.text((start + _BAR + 8, top - 1), f"pixel {x},{y} of {self.model}", _INK, font)
+        pen.text((start, below), "left: its weights; right: the frame", _INK, font)
+        return np.asarray(paper)
 
     def png(self) -> bytes:
         """The picture as the bytes of a PNG."""
@@ -181,9 +216,12 @@ def explain(
     )
 
 
-def heat(weights: NDArray[Any]) -> NDArray[np.uint8]:
-    """Weights ``(h, w)`` as colours ``(h, w, 3)``: see `Explanation.picture`."""
-    most = float(np.abs(weights).max()) or 1.0
+def heat(weights: NDArray[Any], most: float | None = None) -> NDArray[np.uint8]:
+    """Weights ``(h, w)`` as colours ``(h, w, 3)``: see `Explanation.picture`.
+
+    ``most``: the absolute weight that is brightest; by default the greatest that there is.
+    """
+    most = (float(np.abs(weights).max()) if most is None else most) or 1.0
     t = np.sqrt(np.abs(weights) / most)
     red, green, blue = np.clip(3 * t, 0, 1), np.clip(3 * t - 1, 0, 1), np.clip(3 * t - 2, 0, 1)
     positive = np.stack([red, green, blue], axis=2)
@@ -243,7 +281,6 @@ def _marked(image: NDArray[np.uint8], x: int, y: int, zoom: int) -> NDArray[np.u
     """The image with a frame around the pixel (x, y) of ``zoom`` screen pixels."""
     image = image.copy()
     y0, y1, x0, x1 = y * zoom, (y + 1) * zoom - 1, x * zoom, (x + 1) * zoom - 1
-    green = (0, 255, 128)
-    image[y0, x0 : x1 + 1] = image[y1, x0 : x1 + 1] = green
-    image[y0 : y1 + 1, x0] = image[y0 : y1 + 1, x1] = green
+    image[y0, x0 : x1 + 1] = image[y1, x0 : x1 + 1] = _MARK
+    image[y0 : y1 + 1, x0] = image[y0 : y1 + 1, x1] = _MARK
     return image
