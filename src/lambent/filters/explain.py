@@ -112,7 +112,7 @@ class Explanation:
         paper.paste(Image.fromarray(heat(scale, most)), (left, top))
         pen.rectangle((left - 1, top - 1, right, top + _BAR), outline=(110, 110, 110))
         below = top + _BAR + 4
-        words = {low: ("la", left), high: ("ra", right)}
+        words: dict[float, tuple[str, float]] = {low: ("la", left), high: ("ra", right)}
         if low < 0 < high:
             zero = left + (right - left) * -low / (high - low)
             # not where it would run into the ends
