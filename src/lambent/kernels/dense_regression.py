@@ -82,14 +82,16 @@ def dense_first_order(
         some = Planes.of(images[:, :, c : c + _IMAGES], layout, jit).memory
         stack = aligned((len(seen) + len(some), *seen.shape[1:]))
         stack[: len(seen)], stack[len(seen) :] = seen, some
-        fits.append(_Fit(weights, stack, len(seen), powers, band, jit))
+        fits.append(_Fit(weights, stack, len(seen), powers, jit))
+    most = max(fit.equations for fit in fits)
+    sums = aligned((len(powers) * most * band * layout.stride,))  # of whichever fit is at work
     done = 0
     for first in range(0, layout.height, band):
         last = min(first + band, layout.height)
         weights.fill(first, last)
         ready = last if last == layout.height else max(done, last - R)
         for fit in fits:
-            fit.solve(first, last, ridge)
+            fit.solve(first, last, ridge, sums)
             fit.predict(done, ready)
         done = ready
     return [np.concatenate([fit.image(i) for fit in fits], axis=2) for i in range(len(powers))]
@@ -104,7 +106,6 @@ class _Fit:
         stack: FloatImage,
         F: int,
         powers: tuple[int, ...],
-        band: int,
         jit: Any,
     ) -> None:
         """``stack``: planes of ``F`` features and of the images."""
@@ -116,25 +117,27 @@ class _Fit:
         stride = self.layout.stride
         R = weights.radius
         self.steps = (np.arange(-R, R + 1) / R).astype(np.float32)
-        self.sums = aligned((len(powers), len(self.pairs) + self.n * self.C, band * stride))
+        self.equations = len(self.pairs) + self.n * self.C
         self.ring = weights.rows * stride
         whole = aligned((len(powers) * self.n * self.C * self.ring + 2 * LANES,))
         self.beta = whole[LANES:-LANES].reshape(len(powers), self.n * self.C, self.ring)
         self.result = aligned((len(powers), self.C, self.layout.height, stride))
         self.kernels = _kernels(F, self.C, powers)
 
-    def solve(self, first: int, last: int, ridge: float) -> None:
-        """β of the centres of these rows (1)."""
-        layout, weights = self.layout, self.weights
+    def solve(self, first: int, last: int, ridge: float, memory: FloatImage) -> None:
+        """β of the centres of these rows (1). ``memory``: for the equations, of a band."""
+        layout, weights, P = self.layout, self.weights, len(self.powers)
+        count = (last - first) * layout.stride
+        sums = memory[: P * self.equations * count].reshape(P, self.equations, count)
         side = 2 * weights.radius + 1
         self.kernels[0].rows(
-            [self.inside, weights.memory, self.sums, self.steps, layout.stride,
+            [self.inside, weights.memory, sums, self.steps, layout.stride,
              self.inside.shape[1], layout.margin_rows, weights.radius, first,
-             self.sums.shape[2], _blocks(layout), weights.rows],
-            first, last, side * (self.F + self.C + len(self.powers)) * LANES,
+             count, _blocks(layout), weights.rows],
+            first, last, side * (self.F + self.C + P) * LANES,
         )  # fmt: skip
-        for sums, beta in zip(self.sums, self.beta, strict=True):
-            self._solve(sums, beta, first, last, ridge)
+        for found, beta in zip(sums, self.beta, strict=True):
+            self._solve(found, beta, first, last, ridge)
 
     def _solve(
         self, sums: FloatImage, beta: FloatImage, first: int, last: int, ridge: float
@@ -143,7 +146,7 @@ class _Fit:
 
         n, F, C, stride = self.n, self.F, self.C, self.layout.stride
         count = (last - first) * stride
-        found = [self.jit.Float(row[:count]) for row in sums]
+        found = [self.jit.Float(row) for row in sums]
         begin = (first + self.layout.margin_rows) * stride
         centre = [self.jit.Float(plane[begin : begin + count]) for plane in self.inside]
         gram = {pair: found[m] for m, pair in enumerate(self.pairs)}
