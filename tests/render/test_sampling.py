@@ -12,7 +12,7 @@ from lambent.render.variant import mitsuba
 # Not pytest.importorskip: Dr.Jit looks for LLVM when Mitsuba is imported, so that comes second.
 mi = mitsuba()
 
-from lambent.render.sampling import FrameSampler  # noqa: E402  (needs a variant)
+from lambent.render.sampling import FrameSampler, Request  # noqa: E402  (needs a variant)
 
 from . import scenes  # noqa: E402
 
@@ -237,3 +237,23 @@ def test_memory_and_kernel_do_not_depend_on_spp():
         history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     assert history
     assert all(k["cache_hit"] for k in history)
+
+
+def test_a_window_has_the_same_samples_alone_and_among_others():
+    sampler = FrameSampler(scenes.everything(mi, size=16), depth=3)
+    wanted = Request(3, 5, 6, 4, spp=5, seed=11)
+    (alone,) = sampler.sample_windows([wanted])
+    others = [Request(0, 0, 16, 16, 2, 7), Request(1, 1, 3, 3, 9, 5)]
+    among = sampler.sample_windows([others[0], wanted, others[1]])
+    np.testing.assert_array_equal(alone.mean, among[1].mean)
+    np.testing.assert_array_equal(alone.spread, among[1].spread)
+    assert [m.spp for m in among] == [2, 5, 9]
+    assert [m.size for m in among] == [(16, 16), (6, 4), (3, 3)]
+    # A window shows what the whole picture shows there, with noise of its own.
+    whole = sampler.sample(256, seed=1)
+    (part,) = sampler.sample_windows([Request(3, 5, 6, 4, spp=256, seed=2)])
+    at = whole.at("first_depth")
+    apart = np.abs(part.mean[..., at] - whole.mean[5:9, 3:9, at])
+    assert np.median(apart) < 0.02
+    elsewhere = np.abs(part.mean[..., at] - whole.mean[9:13, 8:14, at])
+    assert np.median(elsewhere) > 0.2

@@ -5,20 +5,21 @@ Here sums stay in registers, so that twenty layers with their variances cost har
 colour, and memory does not grow with the samples. Means and squared deviations are updated stably
 (Welford, "Note on a method for calculating corrected sums of squares and products", 1962).
 
-Samples lie uniformly in their pixel: a box filter. Every pass has random numbers of its own (PCG32,
-one stream a pixel), so variances and half buffers are what they claim to be. A sample whose
+Samples lie uniformly in their pixel: a box filter. Every pass has random numbers of its own
+(`lambent.render.stream`), so variances and half buffers are what they claim to be. A sample whose
 radiance is not finite is left out and counted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
@@ -29,10 +30,26 @@ from lambent.render.moments import Moments
 from lambent.render.motion import Motion, pixel_motion
 from lambent.render.path import look_ahead, trace
 from lambent.render.scene import has_media
+from lambent.render.stream import streams
 from lambent.render.volume import trace_media
 
 #: Layers that an integrator of Mitsuba's, of which only the radiance is known, cannot split.
 _NEEDS_OUR_PATH = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})
+
+
+@dataclass(frozen=True)
+class Request:
+    """Samples of a window: its first column and row within the film's crop, and its size.
+
+    ``spp`` samples a pixel, with the random numbers of ``seed`` (32 bits count).
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+    spp: int
+    seed: int = 0
 
 
 @dataclass
@@ -118,40 +135,76 @@ class FrameSampler:
         The same seed gives the same samples, another seed independent ones.
         Raises `OptionError` for fewer than one sample.
         """
-        if spp < 1:
-            raise OptionError(f"a picture needs at least 1 sample a pixel, not {spp}")
-        film = self.sensor.film()
-        size, offset = film.crop_size(), film.crop_offset()
-        width, height = int(size[0]), int(size[1])
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed & 0xFFFFFFFF, width * height)
-        pixel = dr.arange(mi.UInt32, width * height)
-        row = pixel // width
-        corner = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + mi.Vector2f(offset)
+        return self.sample_windows([Request(0, 0, *self.size, spp, seed)])[0]
+
+    def sample_windows(self, requests: Sequence[Request]) -> list[Moments]:
+        """Several windows with samples of their own, in one launch of one kernel.
+
+        Recording a kernel takes longer than a small picture; a launch of many shares it. What a
+        request gives does not depend on the others. Raises `OptionError`.
+        """
+        for request in requests:
+            if request.spp < 1:
+                raise OptionError(f"a picture needs at least 1 sample a pixel, not {request.spp}")
+        if self.integrator is not None and len(requests) > 1:
+            return [self.sample_windows([request])[0] for request in requests]
+        # The longest first: threads take blocks of lanes in turn, and end together.
+        order = sorted(range(len(requests)), key=lambda k: -requests[k].spp)
+        lanes = [_lanes(requests[k]) for k in order]
+        x, y, number, seed, limit = (np.concatenate([lane[k] for lane in lanes]) for k in range(5))
+        corner = mi.Point2f(mi.Float(x), mi.Float(y))
+        if self.integrator is None:
+            sampler: Any = streams(mi.UInt32(seed), mi.UInt32(number))
+        else:
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(int(seed[0]), len(x))
+        size = mi.Vector2f(self.sensor.film().crop_size())
         with dr.suspend_grad():
-            sums = self._loop(sampler, corner, mi.Vector2f(offset), mi.Vector2f(size), spp)
+            sums = self._loop(sampler, mi.Point2f(x, y), size, limit)
             dr.eval(sums)
-        count = _image([sums.count], width, height)[:, :, 0]
-        return Moments(
-            self.groups,
-            spp,
-            count,
-            _image(sums.mean, width, height),
-            _image(sums.spread, width, height),
-            _image(sums.half_a, width, height),
-            _image(sums.half_b, width, height),
-            _image([sums.half_count], width, height)[:, :, 0],
-            round(spp * width * height - float(count.sum(dtype=np.float64))),
-        )
+        return self._moments(sums, [requests[k] for k in order], order)
 
     # --------------------------------------------------------------- private
 
-    def _loop(self, sampler: Any, corner: Any, offset: Any, size: Any, spp: int) -> _Sums:
+    def _moments(
+        self, sums: _Sums, requests: Sequence[Request], order: Sequence[int]
+    ) -> list[Moments]:
+        """The sums of all lanes, taken apart by request, in the order they were asked for."""
+        parts = [
+            _table(part)
+            for part in (
+                [sums.count], sums.mean, sums.spread, sums.half_a, sums.half_b, [sums.half_count]
+            )
+        ]  # fmt: skip
+        made: dict[int, Moments] = {}
+        start = 0
+        for place, request in zip(order, requests, strict=True):
+            end = start + request.width * request.height
+            shape = request.height, request.width, -1
+            count, mean, spread, half_a, half_b, half_count = (
+                np.ascontiguousarray(part[:, start:end].T.reshape(shape)) for part in parts
+            )
+            asked = request.spp * request.width * request.height
+            made[place] = Moments(
+                self.groups,
+                request.spp,
+                count[:, :, 0],
+                mean,
+                spread,
+                half_a,
+                half_b,
+                half_count[:, :, 0],
+                round(asked - float(count.sum(dtype=np.float64))),
+            )
+            start = end
+        return [made[k] for k in range(len(requests))]
+
+    def _loop(self, sampler: Any, corner: Any, size: Any, limit: Any) -> _Sums:
         """The loop over samples; all that a lane knows at its end."""
         channels = sum(g.channels for g in self.groups)
 
         def step(i: Any, sampler: Any, sums: _Sums) -> tuple[Any, Any, _Sums]:
-            values, sampler = self._one(sampler, corner, offset, size)
+            values, sampler = self._one(sampler, corner, size)
             return i + 1, sampler, _updated(sums, values, (i & 1) == 0)
 
         sums = _Sums(
@@ -162,7 +215,7 @@ class FrameSampler:
             [mi.Float(0) for _ in range(3)],
             mi.Float(0),
         )
-        limit = dr.opaque(mi.UInt32, spp)  # data, not code: another spp is the same kernel
+        # The limit is data, not code: another number of samples is the same kernel.
         done = dr.while_loop(
             (mi.UInt32(0), sampler, sums),
             lambda i, *_: i < limit,
@@ -172,7 +225,7 @@ class FrameSampler:
         result: _Sums = done[2]
         return result
 
-    def _one(self, sampler: Any, corner: Any, offset: Any, size: Any) -> tuple[list[Any], Any]:
+    def _one(self, sampler: Any, corner: Any, size: Any) -> tuple[list[Any], Any]:
         """One sample: the values of all channels."""
         at = corner + sampler.next_2d()
         time = mi.Float(self.sensor.shutter_open())
@@ -181,7 +234,7 @@ class FrameSampler:
         lens = mi.Point2f(0.5)
         if self.sensor.needs_aperture_sample():
             lens = sampler.next_2d()
-        ray, weight = self.sensor.sample_ray(time, mi.Float(0.5), (at - offset) / size, lens)
+        ray, weight = self.sensor.sample_ray(time, mi.Float(0.5), at / size, lens)
         if self.media and self.integrator is None:
             medium = self.sensor.get_medium()
             books, sampler = trace_media(self.scene, sampler, ray, self.options, medium)
@@ -235,6 +288,30 @@ def _mean_with(mean: list[Any], values: list[Any], count: Any, takes: Any) -> li
     ]
 
 
-def _image(planes: list[Any], width: int, height: int) -> FloatImage:
-    stacked = np.stack([np.array(plane, np.float32) for plane in planes], axis=-1)
-    return np.ascontiguousarray(stacked.reshape(height, width, -1))
+def _lanes(request: Request) -> tuple[NDArray[Any], ...]:
+    """Column, row, number of the pixel in its window, seed and samples of every lane."""
+    number = np.arange(request.width * request.height, dtype=np.uint32)
+    row, column = np.divmod(number, np.uint32(request.width))
+    return (
+        (column + request.x).astype(np.float32),
+        (row + request.y).astype(np.float32),
+        number,
+        np.full(number.size, request.seed & 0xFFFFFFFF, np.uint32),
+        np.full(number.size, request.spp, np.uint32),
+    )
+
+
+def _owned(kind: Any, array: NDArray[Any]) -> Any:
+    """An array in Dr.Jit's own memory.
+
+    Dr.Jit takes NumPy's memory as it is and compiles its alignment into the kernel: without the
+    copy, the same picture would be compiled again whenever the memory falls otherwise.
+    """
+    copy = kind(array) + dr.opaque(kind, 0)
+    dr.eval(copy)
+    return copy
+
+
+def _table(planes: list[Any]) -> FloatImage:
+    """Registers ``(C, lanes)``."""
+    return np.stack([np.array(plane, np.float32) for plane in planes])

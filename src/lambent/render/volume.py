@@ -149,7 +149,7 @@ def _vertex(scene: Any, s: _State, hero: Any, options: PathOptions) -> _State:
         on_surface,
     )
     phase = mei.medium.phase_function()
-    context = mi.PhaseFunctionContext(s.sampler)
+    context = mi.PhaseFunctionContext(None)
     phase_value, phase_pdf = phase.eval_pdf(context, mei, ds.d, scattered)
     value = dr.select(scattered, mi.Color3f(phase_value), value)
     pdf = dr.select(scattered, phase_pdf, pdf)
