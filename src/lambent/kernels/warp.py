@@ -1,7 +1,8 @@
 """Warping: an image read at places that move from pixel to pixel.
 
-``warp(image, motion)`` at pixel p is the image at p + motion(p), bilinear between pixel centres. Where
-that place lies outside the image there is nothing to read: such pixels are 0 and told in a mask.
+``warp(image, motion)`` at pixel p is the image at p + motion(p), bilinear between pixel centres.
+Where that place lies outside the image there is nothing to read: such pixels are 0 and told in a
+mask.
 """
 
 from __future__ import annotations

@@ -151,13 +151,15 @@ class FrameSampler:
         # The longest first: threads take blocks of lanes in turn, and end together.
         order = sorted(range(len(requests)), key=lambda k: -requests[k].spp)
         lanes = [_lanes(requests[k]) for k in order]
-        x, y, number, seed, limit = (np.concatenate([lane[k] for lane in lanes]) for k in range(5))
-        corner = mi.Point2f(mi.Float(x), mi.Float(y))
+        x, y, number, seed, limit = (
+            _owned(kind, np.concatenate([lane[k] for lane in lanes]))
+            for k, kind in enumerate((mi.Float, mi.Float, mi.UInt32, mi.UInt32, mi.UInt32))
+        )
         if self.integrator is None:
-            sampler: Any = streams(mi.UInt32(seed), mi.UInt32(number))
+            sampler: Any = streams(seed, number)
         else:
             sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(int(seed[0]), len(x))
+            sampler.seed(requests[0].seed & 0xFFFFFFFF, len(x))
         size = mi.Vector2f(self.sensor.film().crop_size())
         with dr.suspend_grad():
             sums = self._loop(sampler, mi.Point2f(x, y), size, limit)
