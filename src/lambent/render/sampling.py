@@ -182,9 +182,10 @@ class FrameSampler:
         start = 0
         for place, request in zip(order, requests, strict=True):
             end = start + request.width * request.height
-            shape = request.height, request.width, -1
+            # Planes stay planes in memory; what one sees is (H, W, C).
+            shape = -1, request.height, request.width
             count, mean, spread, half_a, half_b, half_count = (
-                np.ascontiguousarray(part[:, start:end].T.reshape(shape)) for part in parts
+                part[:, start:end].reshape(shape).transpose(1, 2, 0) for part in parts
             )
             asked = request.spp * request.width * request.height
             made[place] = Moments(
@@ -315,5 +316,8 @@ def _owned(kind: Any, array: NDArray[Any]) -> Any:
 
 
 def _table(planes: list[Any]) -> FloatImage:
-    """Registers ``(C, lanes)``."""
-    return np.stack([np.array(plane, np.float32) for plane in planes])
+    """Registers ``(C, lanes)``, copied once."""
+    table = np.empty((len(planes), len(planes[0])), np.float32)
+    for row, plane in zip(table, planes, strict=True):
+        row[:] = plane.numpy()  # Dr.Jit's own memory
+    return table
