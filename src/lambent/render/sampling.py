@@ -29,9 +29,8 @@ from lambent.render.lights import group_table
 from lambent.render.moments import Moments
 from lambent.render.motion import Motion, pixel_motion
 from lambent.render.path import look_ahead, trace
-from lambent.render.scene import has_media
 from lambent.render.stream import streams
-from lambent.render.volume import trace_media
+from lambent.render.volume import has_media, trace_media
 
 #: Layers that an integrator of Mitsuba's, of which only the radiance is known, cannot split.
 _NEEDS_OUR_PATH = frozenset({"diffuse", "specular", "direct", "indirect", "emission"})

@@ -234,14 +234,6 @@ def integrator_name(integrator: Any) -> str:
     return str(integrator.class_name()) if hasattr(sys.modules["mitsuba"], name) else name
 
 
-def has_media(scene: Any) -> bool:
-    """Whether any shape of a scene bounds a participating medium."""
-    return any(
-        shape.interior_medium() is not None or shape.exterior_medium() is not None
-        for shape in scene.shapes()
-    )
-
-
 def place_camera(mi: Any, sensor: Any, to_world: Any) -> None:
     """Put a sensor elsewhere: ``to_world`` 4x4 (camera looks along +z, y up)."""
     params = mi.traverse(sensor)

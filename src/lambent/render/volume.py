@@ -35,6 +35,14 @@ from lambent.render.books import (
 )
 
 
+def has_media(scene: Any) -> bool:
+    """Whether any shape of a scene bounds a participating medium."""
+    return any(
+        shape.interior_medium() is not None or shape.exterior_medium() is not None
+        for shape in scene.shapes()
+    )
+
+
 @dataclass
 class _State:
     """The state of the loop over vertices; as in `lambent.render.path`, with a medium."""
