@@ -17,8 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lambent.errors import DamagedFileError, FileError, LambentError, OptionError, UnknownNameError
 from lambent.render.variant import mitsuba
 
@@ -232,10 +230,3 @@ def integrator_name(integrator: Any) -> str:
         return ""
     name = type(integrator).__name__
     return str(integrator.class_name()) if hasattr(sys.modules["mitsuba"], name) else name
-
-
-def place_camera(mi: Any, sensor: Any, to_world: Any) -> None:
-    """Put a sensor elsewhere: ``to_world`` 4x4 (camera looks along +z, y up)."""
-    params = mi.traverse(sensor)
-    params["to_world"] = mi.Transform4f(np.asarray(to_world, np.float64))
-    params.update()
