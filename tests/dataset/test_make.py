@@ -228,6 +228,8 @@ def start(recipe_file: Path, folder: Path, *options: str) -> subprocess.Popen:
     return subprocess.Popen(
         [*COMMAND, str(recipe_file), "-o", str(folder), *options],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+        # A shell's background jobs ignore SIGINT, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
+
+
+def heed_ctrl_c() -> None:
+    """For a child: a shell's background jobs ignore SIGINT, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def channels(height: int = 48, width: int = 64, seed: int = 0) -> dict[str, np.ndarray]:

@@ -37,7 +37,11 @@ def command(folder: Path) -> list[str]:
 def start_and_wait_for(folder: Path, frames: int) -> subprocess.Popen[str]:
     """The command in the background, as soon as so many frames are written."""
     process = subprocess.Popen(
-        command(folder), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command(folder),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=renders.heed_ctrl_c,
     )
     deadline = time.monotonic() + 60
     while len(list((folder / "out").glob("*.exr"))) < frames:

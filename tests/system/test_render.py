@@ -13,6 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))
+import renders
+
 import lambent
 from lambent.cli import main
 
@@ -90,6 +93,7 @@ def test_ctrl_c_keeps_what_was_reached(scene, tmp_path, number):
     process = subprocess.Popen(
         [*LAMBENT, "render", str(scene), "-o", str(out), "--time", "60", "--features", "none"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=renders.heed_ctrl_c,
     )  # fmt: skip
     time.sleep(6)
     process.send_signal(number)
