@@ -105,7 +105,7 @@ class NFOR(Denoiser):
             "depth.variance",
         ),
         cost="five regressions with 10 unknowns over 361 pixels, three NLM searches for weights",
-        when="the paper's form, for comparison; for work nfor-tuned is faster and keeps more",
+        when="final frames with half buffers, without fireflies; with those nfor-tuned",
     )
 
     def __post_init__(self) -> None:
