@@ -211,6 +211,7 @@ class MitsubaScene:
                 self.sensor,
                 features=FEATURES,
                 depth=self.source.recipe.depth,
+                rr_depth=self.source.recipe.rr_depth,
                 motion=motion,
             )
 

@@ -67,6 +67,7 @@ class Recipe:
     target_error: float = 0.1
     target_over_level: float = 2.0
     depth: int = 12
+    rr_depth: int = 3
     clips_per_scene: int = 2
     clip_frames: int = 6
     clip_levels: int = 1
@@ -158,6 +159,7 @@ _RANGES: tuple[tuple[str, float, float], ...] = (
     ("target_error", 0, 1e9),
     ("target_over_level", 0, 1024),
     ("depth", 1, 1024),
+    ("rr_depth", 1, 1024),
     ("clips_per_scene", 1, 64),
     ("clip_frames", 1, 64),
     ("clip_levels", 1, 16),
