@@ -89,7 +89,8 @@ def test_a_camera_set_anew_is_the_camera_built(files):
     for camera in (2, 0, 3):
         (view,) = scene.views(camera)
         ours = view.pilot((64, 48), 32, 5)
-        built = FrameSampler(plan.build(source.mi, camera, (64, 48)), depth=4)
+        alone = plan.build(source.mi, camera, (64, 48))
+        built = FrameSampler(alone, depth=recipe.depth, rr_depth=recipe.rr_depth)
         theirs = built.sample(32, 5).frame()
         for role in (Role.DEPTH, Role.ALBEDO, Role.COLOUR):
             a, b = ours[role], theirs[role]
