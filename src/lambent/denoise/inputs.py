@@ -1,0 +1,207 @@
+"""What the network reads of a frame: one description for training and for run time.
+
+`signals_of` finds the layers in a frame, `encode` turns them into planes of similar range, `pack`
+folds 2x2 pixels into channels. All three work on channels-first arrays; the last two take NumPy
+arrays or PyTorch tensors alike (``xp`` is the module), with any leading batch axes.
+
+The colour is divided by the albedo before it is looked at (Bako et al. 2017, eq. 8), so that
+texture does not hide noise; `OFFSET` keeps black surfaces from exploding::
+
+    d = albedo + OFFSET   (1 where there is no albedo),      x = exposure · colour / d
+
+Planes, in this order (an absent layer is 0 everywhere, and its mask is 0):
+
+====== ============================================================ ==================
+number what                                                         mask
+====== ============================================================ ==================
+3      t(x),  t(v) = log(1 + 16 v) / 6                              (always there)
+3      albedo, held to [0, 2]                                       albedo
+3      normal                                                       normal
+1      log(depth / median depth) / 4, held to [-1, 1]; a miss is 1  depth
+1      roughness                                                    roughness
+1      t of the standard deviation of x (mean of the channels)      colour variance
+1      square root of the albedo's standard deviation               feature variance
+1      the same of the normal's                                     feature variance
+1      the same of the depth's, relative to the depth               feature variance
+3      history: t of the previous output, warped here               history
+====== ============================================================ ==================
+
+Constants, the same in every pixel: the seven masks above, log2(spp)/10 (0 where unknown), whether
+spp is known, and the preference λ in [0, 1] (0: least error, 1: keep what might be detail).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from lambent.filters.features import Scales, fit_scales, variance_of
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.misses import miss_mask
+from lambent.frame.role import Role
+
+#: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
+OFFSET = 0.05
+#: t(v) = log(1 + SLOPE v) / RANGE: 0.18 becomes 0.22, 1 becomes 0.47, 1000 becomes 1.6.
+SLOPE, RANGE = 16.0, 6.0
+#: A depth e^4 times the median and more is all the same.
+DEPTH_RANGE = 4.0
+
+#: The layers that a signal can have beside its colour, with their number of channels.
+LAYERS: Mapping[str, int] = {
+    "albedo": 3,
+    "normal": 3,
+    "depth": 1,
+    "roughness": 1,
+    "colour_std": 1,
+    "albedo_std": 1,
+    "normal_std": 1,
+    "depth_std": 1,
+    "history": 3,
+}
+#: The masks, and the layers that each stands for.
+MASKS: Mapping[str, tuple[str, ...]] = {
+    "albedo": ("albedo",),
+    "normal": ("normal",),
+    "depth": ("depth",),
+    "roughness": ("roughness",),
+    "colour_std": ("colour_std",),
+    "feature_std": ("albedo_std", "normal_std", "depth_std"),
+    "history": ("history",),
+}
+PLANES = 3 + sum(LAYERS.values())
+CONSTANTS = len(MASKS) + 3
+#: Channels that the network reads, at half the resolution.
+CHANNELS = 4 * PLANES + CONSTANTS
+
+
+@dataclass(frozen=True)
+class Signals:
+    """The layers of a frame as the network wants them, channels first, float32.
+
+    ``colour`` ``(3, H, W)``, linear radiance. ``layers``: those of `LAYERS` that there are.
+    Standard deviations are of the pixel means; that of the colour is the root of the mean variance
+    of its channels. ``depth`` is encoded (see the module's table). ``spp`` None: unknown.
+    """
+
+    colour: Any
+    layers: Mapping[str, Any] = field(default_factory=dict)
+    spp: float | None = None
+
+    def masks(self) -> dict[str, float]:
+        """1 for every mask whose layers are there."""
+        return {name: float(any(n in self.layers for n in of)) for name, of in MASKS.items()}
+
+
+def signals_of(frame: Frame, scales: Scales | None = None) -> Signals:
+    """The signals of a frame; ``scales`` are those of the whole frame where this is a tile.
+
+    Where there is no albedo, the sum of diffuse and specular albedo takes its place. A layer that
+    holds NaN counts as 0 there.
+    """
+    colour = _planes(frame.colour)
+    found: dict[str, Any] = {}
+    albedo = albedo_of(frame)
+    if albedo is not None:
+        found["albedo"] = _planes(albedo)
+    if (normal := frame.get(Role.NORMAL)) is not None:
+        found["normal"] = _planes(normal)
+    scales = scales or fit_scales(frame)
+    depth = frame.get(Role.DEPTH)
+    hit = None
+    if depth is not None:
+        hit = np.where(miss_mask(frame), np.float32(1), np.abs(depth[:, :, 0]))
+        hit = np.maximum(np.nan_to_num(hit, nan=1.0, posinf=1.0), np.float32(1e-20))
+        relative = np.log(hit / np.float32(scales.depth_median)) / np.float32(DEPTH_RANGE)
+        relative = np.where(miss_mask(frame), np.float32(1), np.clip(relative, -1, 1))
+        found["depth"] = relative[None].astype(np.float32)
+    if (roughness := frame.get(Role.ROUGHNESS)) is not None:
+        found["roughness"] = _planes(roughness[:, :, :1])
+    for name, role in (("colour", Role.COLOUR), ("albedo", Role.ALBEDO), ("normal", Role.NORMAL)):
+        variance = variance_of(frame, role)
+        if variance is not None:
+            found[f"{name}_std"] = np.sqrt(_planes(variance).mean(0, keepdims=True))
+    if hit is not None and (variance := variance_of(frame, Role.DEPTH)) is not None:
+        found["depth_std"] = np.sqrt(_planes(variance)[:1]) / hit[None]
+    return Signals(colour, found, float(frame.spp) if frame.spp else None)
+
+
+def albedo_of(frame: Frame) -> FloatImage | None:
+    """The albedo ``(H, W, 3)`` of a frame: its layer, else diffuse plus specular albedo."""
+    albedo = frame.get(Role.ALBEDO)
+    if albedo is None:
+        parts = [frame.get(Role.DIFFUSE_ALBEDO), frame.get(Role.SPECULAR_ALBEDO)]
+        there = [part for part in parts if part is not None]
+        albedo = sum(there[1:], there[0]) if there else None
+    if albedo is not None and albedo.shape[2] == 1:
+        albedo = np.repeat(albedo, 3, axis=2)
+    return albedo
+
+
+def divisor(xp: ModuleType, albedo: Any) -> Any:
+    """What the colour is divided by: albedo, held to [0, 2], plus `OFFSET`."""
+    return xp.clip(albedo, 0, 2) + OFFSET
+
+
+def curve(xp: ModuleType, x: Any) -> Any:
+    """t(x) = log(1 + 16 x) / 6; negative light counts as none."""
+    return xp.log1p(SLOPE * xp.clip(x, 0, None)) / RANGE
+
+
+def encode(xp: ModuleType, signals: Signals, exposure: float) -> Any:
+    """The planes of the table, ``(..., PLANES, H, W)``."""
+    colour, layers = signals.colour, signals.layers
+    like = colour[..., :1, :, :]
+    d = divisor(xp, layers["albedo"]) if "albedo" in layers else xp.ones_like(colour)
+    found = [curve(xp, colour * exposure / d)]
+    for name, count in LAYERS.items():
+        layer = layers.get(name)
+        if layer is None:
+            found.append(xp.concatenate([xp.zeros_like(like)] * count, axis=-3))
+        elif name == "colour_std":
+            found.append(curve(xp, layer * exposure / d.mean(-3, keepdims=True)))
+        elif name == "history":
+            found.append(curve(xp, layer * exposure / d))
+        elif name.endswith("_std"):
+            found.append(xp.sqrt(xp.clip(layer, 0, 1)))
+        elif name == "albedo":
+            found.append(xp.clip(layer, 0, 2))
+        else:
+            found.append(xp.clip(layer, -1, 1))
+    return xp.concatenate(found, axis=-3)
+
+
+def constants(signals: Signals, preference: float) -> FloatImage:
+    """The constants ``(CONSTANTS,)``: masks, spp, whether it is known, λ."""
+    spp = signals.spp
+    known = spp is not None and spp > 0
+    size = float(np.log2(spp)) / 10 if known and spp is not None else 0.0
+    return np.array([*signals.masks().values(), size, float(known), preference], np.float32)
+
+
+def pack(xp: ModuleType, planes: Any, numbers: Any) -> Any:
+    """``(..., PLANES, H, W)`` and ``(..., CONSTANTS)`` to ``(..., CHANNELS, H/2, W/2)``.
+
+    Channel 4 p + 2 y + x is plane p at the pixels (2 i + y, 2 j + x). H and W must be even.
+    """
+    *batch, count, height, width = planes.shape
+    cells = planes.reshape(*batch, count, height // 2, 2, width // 2, 2)
+    n = len(batch)
+    order = (*range(n), n, n + 2, n + 4, n + 1, n + 3)
+    cells = xp.permute(cells, order) if hasattr(xp, "permute") else xp.transpose(cells, order)
+    folded = cells.reshape(*batch, 4 * count, height // 2, width // 2)
+    flat = numbers[..., :, None, None] + xp.zeros_like(folded[..., :1, :, :])
+    return xp.concatenate([folded, flat], axis=-3)
+
+
+def _planes(image: FloatImage) -> FloatImage:
+    """``(H, W, C)`` to ``(C, H, W)``, what is not finite as 0."""
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+    if not np.isfinite(planes.sum()):
+        planes = np.nan_to_num(planes, nan=0.0, posinf=0.0, neginf=0.0)
+    return planes

@@ -1,0 +1,148 @@
+"""Batches without state: what row r of step t holds follows from the seed, t and r alone.
+
+So a run that was stopped goes on with the very batches it would have seen, and two processes that
+share a batch see together what one would have seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+import queue
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from lambent.denoise.inputs import constants, divisor, encode, pack
+from lambent.frame.layer import FloatImage
+from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
+from lambent.learn.cache import Cached
+
+#: Share of the frames that get a splatted pixel filter.
+SPLATTED = 0.2
+#: Share of the frames that are trained for least error (preference 0).
+NEUTRAL = 0.5
+#: Share of the examples whose levels are put together.
+MERGED = 0.4
+
+
+@dataclass(frozen=True)
+class Row:
+    """One example, ready for the network: see `denoise.inputs`.
+
+    ``packed`` ``(CHANNELS, H/2, W/2)``; ``colour``, ``divisor``, ``target`` ``(3, H, W)``;
+    ``deviation`` ``(1, H, W)`` of the target; ``preference`` λ.
+    """
+
+    packed: FloatImage
+    colour: FloatImage
+    divisor: FloatImage
+    target: FloatImage
+    deviation: FloatImage
+    preference: float
+    spp: float
+
+
+class Sampler:
+    """Draws levels of stills so that the number of samples is spread over its range.
+
+    The data have many crops of few samples and few of many. A bin of log2(spp) is drawn with a
+    weight proportional to the square root of what is in it: rare ones more often, but not until
+    they are known by heart.
+    """
+
+    def __init__(self, stills: Sequence[Cached]) -> None:
+        self.stills = stills
+        bins: dict[int, list[tuple[int, int]]] = {}
+        for i, still in enumerate(stills):
+            for k, spp in enumerate(still.spp):
+                bins.setdefault(int(np.log2(max(spp, 1))), []).append((i, k))
+        self._bins = [bins[b] for b in sorted(bins)]
+        weights = np.sqrt([len(b) for b in self._bins])
+        self._weights = weights / weights.sum()
+
+    def draw(self, rng: np.random.Generator) -> Example:
+        """A level of a still, or several of its levels merged."""
+        which = self._bins[int(rng.choice(len(self._bins), p=self._weights))]
+        number, level = which[int(rng.integers(len(which)))]
+        levels, target, deviation = self.stills[number].load()
+        chosen = [levels[level]]
+        if rng.random() < MERGED:
+            chosen += [lv for k, lv in enumerate(levels) if k != level and rng.random() < 0.5]
+        return Example(merged(chosen), target, deviation)
+
+
+def row(sampler: Sampler, seed: int, step: int, number: int) -> Row:
+    """Row ``number`` of the batch of ``step``."""
+    rng = np.random.default_rng((seed, step, number))
+    example = turned(sampler.draw(rng), rng)
+    spp = float(example.noisy.spp or 1)
+    if rng.random() < SPLATTED:
+        example = filtered(example, rng)
+    example = without_some(recoloured(example, rng), rng)
+    preference = 0.0 if rng.random() < NEUTRAL else float(rng.random())
+    return ready(example, preference, spp)
+
+
+def plain_row(example: Example, spp: float, preference: float = 0.0) -> Row:
+    """An example as it is, for validation."""
+    return ready(example, preference, spp)
+
+
+def ready(example: Example, preference: float, spp: float) -> Row:
+    """An example as arrays for the network."""
+    noisy = example.noisy
+    albedo = noisy.layers.get("albedo")
+    d = np.ones_like(noisy.colour) if albedo is None else divisor(np, albedo)
+    numbers = constants(noisy, preference)
+    return Row(
+        pack(np, encode(np, noisy, 1.0), numbers).astype(np.float32),
+        noisy.colour,
+        d.astype(np.float32),
+        example.target,
+        example.deviation,
+        preference,
+        spp,
+    )
+
+
+def batches(
+    sampler: Sampler, seed: int, first: int, size: int, rank: int = 0, world: int = 1
+) -> Iterator[list[Row]]:
+    """The batches of step ``first`` and on; of each, the rows of process ``rank`` of ``world``.
+
+    Made ahead by a thread, so that the network does not wait.
+    """
+    ahead: queue.Queue[list[Row] | BaseException] = queue.Queue(3)
+    over = threading.Event()
+
+    def put(thing: list[Row] | BaseException) -> None:
+        while not over.is_set():
+            try:
+                return ahead.put(thing, timeout=0.2)
+            except queue.Full:
+                continue
+
+    def fill() -> None:
+        try:
+            with ThreadPoolExecutor(2) as pool:
+                for step in itertools.count(first):
+                    if over.is_set():
+                        return
+                    numbers = range(rank, size, world)
+                    put(list(pool.map(lambda n, s=step: row(sampler, seed, s, n), numbers)))
+        except BaseException as error:  # told to the one who waits
+            put(error)
+
+    thread = threading.Thread(target=fill, name="batches", daemon=True)
+    thread.start()
+    try:
+        while True:
+            found = ahead.get()
+            if isinstance(found, BaseException):
+                raise found
+            yield found
+    finally:
+        over.set()

@@ -1,0 +1,179 @@
+"""A data set as plain arrays, so that training never waits for an EXR to be unpacked.
+
+A cached still is one file of half floats, ``(15 L + 4, H, W)``: for each of its L noise levels the
+planes of `denoise.inputs.signals_of` in the order of `PLANES_OF`, then the target's colour and
+the deviation of its mean. Colours are at the target's exposure (`kernels.oidn.exposure`), where a
+half float holds 6e-8 to 65504. ``index.json`` says what is where. The cache is a folder that can
+be deleted at any time: it is made again from the data set, and grows with it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lambent.dataset.item import Still
+from lambent.dataset.reader import Dataset, open_dataset
+from lambent.denoise.inputs import LAYERS, Signals, signals_of
+from lambent.errors import LambentError
+from lambent.frame.atomic import atomic
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.role import Role, Stat
+from lambent.kernels.oidn import exposure
+
+#: Layers of a level in the file, after its three channels of colour.
+STORED = {name: count for name, count in LAYERS.items() if name != "history"}
+PLANES_OF = 3 + sum(STORED.values())
+TARGET_PLANES = 4
+#: What changes the files changes this.
+VERSION = 1
+_MOST = 6e4
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True)
+class Cached:
+    """One still of the cache. ``spp`` of its levels; ``layers`` of each level that are there."""
+
+    file: Path
+    spp: tuple[int, ...]
+    layers: tuple[tuple[str, ...], ...]
+    scene: str
+    exposure: float
+
+    def load(self) -> tuple[list[Signals], FloatImage, FloatImage]:
+        """The levels, the target ``(3, H, W)``, the deviation of its mean ``(1, H, W)``."""
+        memory = np.load(self.file, mmap_mode="r")
+        levels = []
+        for k, there in enumerate(self.layers):
+            planes = np.asarray(memory[k * PLANES_OF : (k + 1) * PLANES_OF], np.float32)
+            found, at = {}, 3
+            for name, count in STORED.items():
+                if name in there:
+                    found[name] = planes[at : at + count]
+                at += count
+            levels.append(Signals(planes[:3], found, float(self.spp[k])))
+        target = np.asarray(memory[-TARGET_PLANES:], np.float32)
+        return levels, target[:3], target[3:]
+
+
+def cached(
+    folder: Path, place: Path, progress: Progress | None = None, workers: int | None = None
+) -> list[Cached]:
+    """The stills of the data set in ``folder``, in the cache below ``place``; made if missing.
+
+    Raises `FileError` and `DamagedFileError` as reading the data set does.
+    """
+    data = open_dataset(folder)
+    home = place / _name(data)
+    home.mkdir(parents=True, exist_ok=True)
+    index = home / "index.json"
+    known: dict[str, list[dict[str, Any]]] = {}
+    if index.exists():
+        known = json.loads(index.read_text())
+    lines = [data.line(i) for i in range(len(data))]
+    todo = [i for i, line in enumerate(lines) if line["file"] not in known]
+    try:
+        for done, (file, entries) in enumerate(_made(folder, home, todo, workers)):
+            known[file] = entries
+            if progress is not None:
+                progress(done + 1, len(todo), "unpacking the data set")
+    finally:
+        with atomic(index, overwrite=True) as handle:
+            handle.write(json.dumps(known).encode())
+    found = []
+    for line in lines:
+        for entry in known.get(line["file"], ()):
+            found.append(
+                Cached(
+                    home / entry["file"],
+                    tuple(entry["spp"]),
+                    tuple(tuple(names) for names in entry["layers"]),
+                    f"{data.recipe.name}/{line.get('seed', line['index'])}",
+                    entry["exposure"],
+                )
+            )
+    return found
+
+
+# ------------------------------------------------------------------- private
+
+
+def _name(data: Dataset) -> str:
+    text = f"{data.folder.resolve()} {data.recipe.essence} {VERSION}"
+    return f"{data.recipe.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def _made(
+    folder: Path, home: Path, todo: list[int], workers: int | None
+) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    if not todo:
+        return
+    count = workers or os.cpu_count() or 1
+    pieces = [(folder, home, todo[i : i + 32]) for i in range(0, len(todo), 32)]
+    if count == 1:
+        for piece in pieces:
+            yield from _unpack(piece)
+        return
+    with ProcessPoolExecutor(count) as pool:
+        for part in pool.map(_unpack, pieces):
+            yield from part
+
+
+def _unpack(job: tuple[Path, Path, list[int]]) -> list[tuple[str, list[dict[str, Any]]]]:
+    folder, home, numbers = job
+    data = open_dataset(folder)
+    found = []
+    for i in numbers:
+        line, item = data.line(i), data.item(i)
+        stem = Path(line["file"]).stem
+        entries = []
+        for k, still in enumerate(item.stills):
+            name = f"{line['what']}-{stem}-{k}.npy"
+            entries.append({"file": name, **_store(home / name, still)})
+        found.append((line["file"], entries))
+    return found
+
+
+def _store(path: Path, still: Still) -> dict[str, Any]:
+    """Write a still; what its entry says of it."""
+    factor = exposure(still.target.colour)
+    levels = [signals_of(frame) for frame in still.levels]
+    planes = []
+    for level in levels:
+        planes.append(level.colour * np.float32(factor))
+        for name, count in STORED.items():
+            layer = level.layers.get(name)
+            if layer is None:
+                layer = np.zeros((count, *level.colour.shape[1:]), np.float32)
+            planes.append(layer * np.float32(factor) if name == "colour_std" else layer)
+    planes += [_target(still.target) * np.float32(factor)]
+    memory = np.clip(np.concatenate(planes), -_MOST, _MOST).astype(np.float16)
+    partial = path.with_suffix(".part.npy")
+    np.save(partial, memory)
+    os.replace(partial, path)
+    return {
+        "spp": [int(frame.spp or 0) for frame in still.levels],
+        "layers": [sorted(level.layers) for level in levels],
+        "exposure": factor,
+    }
+
+
+def _target(frame: Frame) -> FloatImage:
+    variance = frame.get(Role.COLOUR, Stat.VARIANCE)
+    if variance is None:
+        raise LambentError(
+            "a target has no variance", remedy="make the data set again: lambent dataset make"
+        )
+    deviation = np.sqrt(variance.mean(axis=2, keepdims=True))
+    return np.concatenate([frame.colour, deviation], axis=2).transpose(2, 0, 1)

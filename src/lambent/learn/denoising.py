@@ -1,0 +1,213 @@
+"""The task of Lambent's own denoiser: stills of data sets in, `networks.lambent` out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from lambent.denoise.inputs import MASKS, Signals
+from lambent.errors import OptionError
+from lambent.filters.denoiser import create
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.learn import losses
+from lambent.learn.augment import Example
+from lambent.learn.batches import Row, Sampler, batches, ready
+from lambent.learn.cache import Cached, cached
+from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
+from lambent.learn.recipe import TrainRecipe
+from lambent.learn.task import Pictures
+
+#: Subsets of layers that a network is scored with.
+SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
+#: Share of the pixels, those with the largest error, that the trimmed error leaves out.
+TRIMMED = 1e-3
+
+
+@dataclass
+class Batch:
+    """Rows put together: see `batches.Row`."""
+
+    packed: Tensor
+    colour: Tensor
+    divisor: Tensor
+    target: Tensor
+    deviation: Tensor
+    preference: Tensor
+
+    @classmethod
+    def of(cls, rows: list[Row], device: torch.device) -> Batch:
+        """Rows as tensors on a device; the packed inputs channels last."""
+
+        def stack(name: str) -> Tensor:
+            return torch.from_numpy(np.stack([getattr(r, name) for r in rows])).to(device)
+
+        return cls(
+            stack("packed").to(memory_format=torch.channels_last),
+            stack("colour"),
+            stack("divisor"),
+            stack("target"),
+            stack("deviation"),
+            torch.tensor([r.preference for r in rows], device=device),
+        )
+
+
+class DenoisingTask:
+    """Learn to filter: `Task` for `LambentNet`.
+
+    Raises `OptionError` for a size that there is not and data that are not there.
+    """
+
+    def __init__(
+        self, recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    ) -> None:
+        self.recipe = recipe
+        if recipe.size not in WIDTHS:
+            raise OptionError(
+                f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
+            )
+        if not recipe.data:
+            raise OptionError(
+                "the recipe names no data",
+                remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
+            )
+        stills = [s for f in recipe.data for s in cached(Path(f), place, progress)]
+        held = [s for s in stills if _is_held_out(s, recipe.held_out)]
+        self.train = Sampler([s for s in stills if not _is_held_out(s, recipe.held_out)])
+        self.checked = _spread(held, recipe.checked)
+        self._yardstick: dict[str, float] | None = None
+
+    def network(self) -> nn.Module:
+        """A fresh network of the recipe's size."""
+        return LambentNet(self.recipe.size)
+
+    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
+        """Rows of this process's share of each batch."""
+        return batches(self.train, self.recipe.seed, first, self.recipe.batch, rank, world)
+
+    def loss(
+        self, model: nn.Module, batch: list[Row], device: torch.device
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
+        b = Batch.of(batch, device)
+        with torch.autocast(device.type, torch.bfloat16):
+            outputs = model(b.packed)
+        x = denoised(outputs, b.colour, b.divisor)
+        return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
+
+    # ------------------------------------------------------------- validation
+
+    @torch.no_grad()
+    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+        """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
+
+        ``score``: geometric mean of the ratios of trimmed relMSE and of SMAPE over the subsets.
+        """
+        if self._yardstick is None:
+            self._yardstick = self._oidn()
+        found: dict[str, float] = {}
+        pictures: dict[str, FloatImage] = {}
+        for subset in SUBSETS:
+            errors = []
+            for example, spp in self.checked:
+                r = ready(_only(example, subset), 0.0, spp)
+                b = Batch.of([r], device)
+                with torch.autocast(device.type, torch.bfloat16):
+                    outputs = model(b.packed)
+                x = denoised(outputs, b.colour, b.divisor)[0].float().cpu().numpy()
+                errors.append(_errors(x, example))
+                if subset == "full" and len(pictures) < 8:
+                    row = [example.noisy.colour, x, example.target]
+                    name = f"{spp:g} spp"
+                    pictures[f"{len(pictures)}: {name}"] = np.concatenate(row, 2).transpose(1, 2, 0)
+            _put(found, subset, errors)
+        ratios = [
+            found[f"{subset} {what}"] / self._yardstick[f"{subset} {what}"]
+            for subset in SUBSETS
+            for what in ("relmse", "smape")
+        ]
+        names = [f"{subset} {what}/oidn" for subset in SUBSETS for what in ("relmse", "smape")]
+        found.update(dict(zip(names, ratios, strict=True)))
+        found["score"] = float(np.exp(np.mean(np.log(ratios))))
+        return found, pictures
+
+    def _oidn(self) -> dict[str, float]:
+        """The same errors of OIDN, which gets the albedo and normal where the subset has them."""
+        oidn = create("oidn")
+        found: dict[str, float] = {}
+        plain: list[tuple[float, float]] = []
+        colour: list[tuple[float, float]] = []
+        for example, _ in self.checked:
+            layers = example.noisy.layers
+            guides: dict[str, Any] = {
+                name: np.ascontiguousarray(layers[name].transpose(1, 2, 0))
+                for name in ("albedo", "normal")
+            }
+            image = np.ascontiguousarray(example.noisy.colour.transpose(1, 2, 0))
+            for into, given in ((plain, guides), (colour, {})):
+                x = oidn(Frame.from_arrays(colour=image, **given), "beauty").colour
+                into.append(_errors(x.transpose(2, 0, 1), example))
+        _put(found, "full", plain)
+        _put(found, "plain", plain)
+        _put(found, "colour", colour)
+        return found
+
+
+# ------------------------------------------------------------------- private
+
+
+def _is_held_out(still: Cached, share: float) -> bool:
+    """By the scene's name, so that no scene is on both sides, whatever else is in the data."""
+    digest = hashlib.sha256(still.scene.encode()).digest()
+    return int.from_bytes(digest[:4], "big") / 2**32 < share
+
+
+def _spread(held: list[Cached], most: int) -> list[tuple[Example, float]]:
+    """Up to ``most`` held-out levels, evenly over log2(spp), the same each time."""
+    bins: dict[int, list[tuple[Cached, int]]] = {}
+    for still in held:
+        for k, spp in enumerate(still.spp):
+            bins.setdefault(int(np.log2(max(spp, 1))), []).append((still, k))
+    found = []
+    share = max(1, most // max(1, len(bins)))
+    for spp in sorted(bins):
+        entries = bins[spp]
+        for i in np.linspace(0, len(entries) - 1, min(share, len(entries))).round().astype(int):
+            still, k = entries[int(i)]
+            levels, target, deviation = still.load()
+            found.append((Example(levels[k], target, deviation), float(still.spp[k])))
+    return found
+
+
+def _only(example: Example, subset: str) -> Example:
+    """An example with the layers of a subset."""
+    names = {layer for mask in SUBSETS[subset] for layer in MASKS[mask]}
+    noisy: Signals = example.noisy
+    kept = {name: layer for name, layer in noisy.layers.items() if name in names}
+    spp = noisy.spp if subset == "full" else None
+    return replace(example, noisy=replace(noisy, layers=kept, spp=spp))
+
+
+def _errors(x: FloatImage, example: Example) -> tuple[float, float]:
+    """Trimmed relMSE less the target's own noise, and SMAPE, at the target's exposure."""
+    r = example.target
+    size = r.mean(0) ** 2 + 0.01
+    error = ((x - r) ** 2).mean(0) / size
+    keep = error <= np.quantile(error, 1 - TRIMMED)
+    noise = example.deviation[0] ** 2 / size
+    smape = (np.abs(x - r) / (np.abs(x) + np.abs(r) + 0.01)).mean()
+    return float(error[keep].mean() - noise[keep].mean()), float(smape)
+
+
+def _put(found: dict[str, float], subset: str, errors: list[tuple[float, float]]) -> None:
+    """Means over the examples: less the targets' noise, one alone may come out below 0."""
+    relmse, smape = np.array(errors).mean(axis=0)
+    found[f"{subset} relmse"] = float(max(relmse, 1e-6))
+    found[f"{subset} smape"] = float(smape)

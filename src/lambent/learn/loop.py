@@ -1,0 +1,382 @@
+"""The one training loop.
+
+Adam with decoupled weight decay (Loshchilov and Hutter 2019), warm-up and a cosine, gradients held
+to a norm, a running mean of the weights (Polyak and Juditsky 1992) that is what gets validated and
+shipped. Batches follow from seed and step (`learn.batches`), the schedule from the step, so a run
+that is stopped and resumed takes the steps that it would have taken.
+
+A run is a folder::
+
+    recipe.json      the settings        run.json       version, hardware, seconds spent
+    log.jsonl        one line now and then: step, loss and its terms, or a validation
+    state.pt         weights, mean weights, optimiser, step: all that resuming needs
+    best.pt          the mean weights with the best validation score so far
+    pictures/        validation pictures of the newest validation
+
+``state.pt`` is replaced in one step, so a stop at any moment loses no more than `SAVE_EVERY`
+seconds. With ``torchrun`` each process takes its share of every batch, and gradients are averaged.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn.parallel import DistributedDataParallel
+
+from lambent import __version__
+from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
+from lambent.frame.atomic import atomic
+from lambent.frame.tonemap import to_png
+from lambent.learn.recipe import TrainRecipe
+from lambent.learn.task import Task
+
+#: Seconds from one saved state to the next.
+SAVE_EVERY = 120.0
+#: Steps from one line of the log to the next.
+LOG_EVERY = 50
+WEIGHT_DECAY = 1e-4
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training run on disk."""
+
+    folder: Path
+
+    @property
+    def state(self) -> Path:
+        """All that resuming needs."""
+        return self.folder / "state.pt"
+
+    @property
+    def best(self) -> Path:
+        """The best weights so far."""
+        return self.folder / "best.pt"
+
+    @property
+    def log(self) -> Path:
+        """What has happened, a JSON object a line."""
+        return self.folder / "log.jsonl"
+
+    def lines(self) -> list[dict[str, Any]]:
+        """The log; a last line that was cut off is left out."""
+        found = []
+        if self.log.exists():
+            for line in self.log.read_text(encoding="utf-8").splitlines():
+                with suppress(json.JSONDecodeError):
+                    found.append(json.loads(line))
+        return found
+
+    def recipe(self) -> dict[str, Any]:
+        """The settings of the run. Raises `FileError`."""
+        try:
+            found = json.loads((self.folder / "recipe.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise FileError(
+                f"holds no training run: {error}", file=self.folder, remedy="name a run's folder"
+            ) from None
+        assert isinstance(found, dict)
+        return found
+
+    def weights(self) -> dict[str, torch.Tensor]:
+        """The best mean weights. Raises `FileError` before the first validation."""
+        found = _load(self.best)
+        return dict(found["weights"])
+
+
+@dataclass
+class _Process:
+    """Which of how many processes this is, and where it computes."""
+
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        return self.rank == 0
+
+
+def train(
+    recipe: TrainRecipe,
+    task: Task,
+    folder: Path,
+    device: str = "auto",
+    start: Mapping[str, torch.Tensor] | None = None,
+    steps: int | None = None,
+    progress: Progress | None = None,
+    after_check: Callable[[Run], None] | None = None,
+) -> Run:
+    """Train, or go on training, in ``folder``.
+
+    ``start``: weights to begin with (fine-tuning). ``steps``: stop after so many in all, though
+    the schedule is the recipe's. ``after_check`` is called after each validation.
+    Raises `OptionError` for a folder that holds a run with another recipe.
+    """
+    here = _process(device)
+    run = Run(folder)
+    if here.first:
+        _prepare(run, recipe)
+    torch.manual_seed(recipe.seed)
+    model = task.network().to(here.device)
+    if here.device.type == "cpu":
+        model = model.to(memory_format=torch.channels_last)
+    if start is not None:
+        model.load_state_dict(dict(start))
+    mean = {name: p.detach().clone() for name, p in model.state_dict().items()}
+    adam = torch.optim.AdamW(
+        [p for p in model.parameters() if p.requires_grad],
+        lr=recipe.rate,
+        weight_decay=WEIGHT_DECAY,
+        betas=(0.9, 0.99),
+    )
+    step, best, spent = 0, math.inf, 0.0
+    if run.state.exists():
+        state = _load(run.state)
+        model.load_state_dict(state["model"])
+        mean = {k: v.to(here.device) for k, v in state["mean"].items()}
+        adam.load_state_dict(state["adam"])
+        step, best, spent = state["step"], state["best"], state["spent"]
+    last = min(recipe.steps, steps if steps is not None else recipe.steps)
+    parallel: nn.Module = DistributedDataParallel(model) if here.world > 1 else model
+    log = _Log(run, step) if here.first else None
+    began = saved = time.monotonic()
+
+    def save() -> None:
+        nonlocal saved
+        if here.first:
+            state = {
+                "model": model.state_dict(), "mean": mean, "adam": adam.state_dict(),
+                "step": step, "best": best, "spent": spent + time.monotonic() - began,
+            }  # fmt: skip
+            with atomic(run.state, overwrite=True) as handle:
+                torch.save(state, handle)
+        saved = time.monotonic()
+
+    batches = task.batches(step, here.rank, here.world)
+    try:
+        while step < last:
+            for group in adam.param_groups:
+                group["lr"] = recipe.rate * schedule(recipe, step)
+            loss, terms = task.loss(parallel, next(batches), here.device)
+            adam.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
+            if bool(torch.isfinite(norm)):  # a step from a bad batch would be the last one
+                adam.step()
+            step += 1
+            _average(mean, model, min(recipe.decay, (1 + step) / (10 + step)))
+            if log is not None:
+                log.add(step, loss.detach(), terms, float(norm), adam.param_groups[0]["lr"])
+            if progress is not None and here.first:
+                progress(step, last, f"training {recipe.name}")
+            if step % recipe.check_every == 0 or step == last:
+                if here.first and log is not None:
+                    best = _check(run, task, mean, here.device, step, best, log)
+                    save()
+                    if after_check is not None:
+                        after_check(run)
+                if here.world > 1:
+                    torch.distributed.barrier()
+            elif time.monotonic() - saved > SAVE_EVERY:
+                save()
+    finally:
+        save()
+        close = getattr(batches, "close", None)
+        if close is not None:
+            close()
+        if log is not None:
+            log.close()
+        if here.first:
+            _note(run, spent + time.monotonic() - began)
+        if here.world > 1:
+            torch.distributed.destroy_process_group()
+    return run
+
+
+def schedule(recipe: TrainRecipe, step: int) -> float:
+    """The learning rate as a share of the highest: a ramp, then half a cosine."""
+    if step < recipe.warmup:
+        return (step + 1) / recipe.warmup
+    done = (step - recipe.warmup) / max(1, recipe.steps - recipe.warmup)
+    return recipe.last_rate + (1 - recipe.last_rate) * 0.5 * (1 + math.cos(math.pi * min(done, 1)))
+
+
+# ------------------------------------------------------------------- private
+
+
+def _process(device: str) -> _Process:
+    if device not in ("auto", "cpu", "cuda"):
+        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise EngineError(
+            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
+        )
+    kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+    world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
+    place = torch.device(kind, int(os.environ.get("LOCAL_RANK", 0)) if kind == "cuda" else None)
+    if world > 1 and not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
+    return _Process(rank, world, place)
+
+
+def _prepare(run: Run, recipe: TrainRecipe) -> None:
+    """Make the folder, or make sure that it is this recipe's."""
+    path = run.folder / "recipe.json"
+    if path.exists():
+        known = run.recipe()
+        different = sorted(k for k, v in recipe.as_dict().items() if known.get(k) != v)
+        different = [k for k in different if k not in ("data", "checked")]
+        if different:
+            raise OptionError(
+                f"holds a run with another recipe: {', '.join(different)} differ",
+                file=run.folder,
+                remedy="train into another folder with --run, or delete this one",
+            )
+        return
+    run.folder.mkdir(parents=True, exist_ok=True)
+    with atomic(path) as handle:
+        handle.write(json.dumps(recipe.as_dict(), indent=1).encode())
+
+
+def _check(
+    run: Run,
+    task: Task,
+    mean: Mapping[str, torch.Tensor],
+    device: torch.device,
+    step: int,
+    best: float,
+    log: _Log,
+) -> float:
+    """Validate the mean weights; keep them if they are the best so far."""
+    model = task.network().to(device)
+    if device.type == "cpu":
+        model = model.to(memory_format=torch.channels_last)
+    model.load_state_dict(dict(mean))
+    model.eval()
+    scores, pictures = task.score(model, device)
+    log.check(step, scores)
+    place = run.folder / "pictures"
+    place.mkdir(exist_ok=True)
+    for number, image in enumerate(pictures.values()):
+        with atomic(place / f"{number}.png", overwrite=True) as handle:
+            handle.write(to_png(np.asarray(image)))
+    if scores["score"] < best:
+        best = scores["score"]
+        with atomic(run.best, overwrite=True) as handle:
+            torch.save({"weights": dict(mean), "step": step, "scores": scores}, handle)
+    return best
+
+
+def _average(mean: dict[str, torch.Tensor], model: nn.Module, decay: float) -> None:
+    with torch.no_grad():
+        for name, value in model.state_dict().items():
+            if value.is_floating_point():
+                mean[name].lerp_(value, 1 - decay)
+            else:
+                mean[name].copy_(value)
+
+
+def _load(path: Path) -> dict[str, Any]:
+    """A file of tensors and numbers; nothing in it is run."""
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise FileError("is not there yet", file=path, remedy="train first") from None
+    except Exception as error:
+        raise DamagedFileError(
+            f"cannot be read: {error}", file=path, remedy="delete it, or the whole run"
+        ) from None
+    assert isinstance(found, dict)
+    return found
+
+
+def _note(run: Run, seconds: float) -> None:
+    about = {
+        "lambent": __version__,
+        "torch": torch.__version__,
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "threads": torch.get_num_threads(),
+        "cuda": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "seconds": round(seconds, 1),
+    }
+    with atomic(run.folder / "run.json", overwrite=True) as handle:
+        handle.write(json.dumps(about, indent=1).encode())
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
+
+
+class _Log:
+    """The log file, and TensorBoard's where it is installed."""
+
+    def __init__(self, run: Run, step: int) -> None:
+        # what was logged after the state that is resumed will be logged again
+        kept = [line for line in run.lines() if line["step"] <= step]
+        with atomic(run.log, overwrite=True) as handle:
+            handle.write("".join(json.dumps(line) + "\n" for line in kept).encode())
+        self._file = run.log.open("a", encoding="utf-8")
+        self._sums: dict[str, float] = {}
+        self._count = 0
+        self._since = time.monotonic()
+        self._board: Any = None
+        with suppress(ImportError):
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(run.folder / "tensorboard"), purge_step=step)
+
+    def add(
+        self, step: int, loss: torch.Tensor, terms: Mapping[str, Any], norm: float, rate: float
+    ) -> None:
+        """Take a step into the means; write them now and then."""
+        for name, value in {"loss": loss, **terms}.items():
+            self._sums[name] = self._sums.get(name, 0.0) + float(value.detach())
+        self._count += 1
+        if step % LOG_EVERY:
+            return
+        now = time.monotonic()
+        line = {name: round(total / self._count, 6) for name, total in self._sums.items()}
+        line |= {"rate": rate, "norm": round(norm, 4)}
+        line["steps_a_second"] = round(self._count / max(now - self._since, 1e-9), 3)
+        self._write({"step": step, **line}, "train")
+        self._sums, self._count, self._since = {}, 0, now
+
+    def check(self, step: int, scores: Mapping[str, float]) -> None:
+        """Write a validation."""
+        rounded = {name: round(value, 6) for name, value in scores.items()}
+        self._write({"step": step, "check": rounded}, "check")
+        self._since = time.monotonic()
+
+    def close(self) -> None:
+        """Close the files."""
+        self._file.close()
+        if self._board is not None:
+            self._board.close()
+
+    def _write(self, line: Mapping[str, Any], kind: str) -> None:
+        self._file.write(json.dumps(line) + "\n")
+        self._file.flush()
+        if self._board is not None:
+            for name, value in line.get("check", line).items():
+                if isinstance(value, float):
+                    self._board.add_scalar(f"{kind}/{name}", value, line["step"])

@@ -1,0 +1,80 @@
+"""Losses for radiance: high range, noisy targets, and a preference between blur and noise.
+
+All take output x, target r and, where named, noisy input c as ``(B, 3, H, W)`` at an exposure where
+the mean is near 0.18, and return one value a pixel ``(B, 1, H, W)`` or less.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+#: Below this, differences count absolutely.
+EPSILON = 0.01
+#: How strongly the noise of a target takes from its weight.
+DISCOUNT = 4.0
+#: A preference of 1 multiplies the loss by 1 + ASYMMETRY on the wrong side.
+ASYMMETRY = 8.0
+
+
+def smape(x: Tensor, r: Tensor) -> Tensor:
+    """|x - r| / (|x| + |r| + ε), mean of the channels: the same for dark and bright."""
+    return ((x - r).abs() / (x.abs() + r.abs() + EPSILON)).mean(1, keepdim=True)
+
+
+def relative_square(x: Tensor, r: Tensor) -> Tensor:
+    """√(1 + e²) - 1 with e² = (x - r)² / (x̄² + ε), x̄ held fast.
+
+    Lehtinen et al. 2018 ("Noise2Noise", sec. 3.3) divide by the output, not by the target, since a
+    noisy target in the denominator makes the result too dark. The root keeps outliers from taking
+    over (Huber).
+    """
+    size = x.detach().mean(1, keepdim=True) ** 2 + EPSILON
+    return torch.sqrt(1 + ((x - r) ** 2 / size).mean(1, keepdim=True)) - 1
+
+
+def gradient(x: Tensor, r: Tensor) -> Tensor:
+    """Differences of neighbours in log(1 + 16 v), down and across: edges where they belong."""
+    d = torch.log1p(16 * x.clamp_min(0)) - torch.log1p(16 * r.clamp_min(0))
+    down = F.pad((d[:, :, 1:] - d[:, :, :-1]).abs(), (0, 0, 0, 1))
+    across = F.pad((d[:, :, :, 1:] - d[:, :, :, :-1]).abs(), (0, 1))
+    return (down + across).mean(1, keepdim=True) / 6
+
+
+def asymmetric(x: Tensor, r: Tensor, c: Tensor, preference: Tensor) -> Tensor:
+    """Vogels et al. 2018, eq. 9: more where the output lies beyond the target, seen from the input.
+
+    1 + (λ - 1) H((x - r)(r - c)) for every channel, averaged; λ = 1 + `ASYMMETRY` · preference.
+    """
+    beyond = ((x - r) * (r - c) > 0).float().mean(1, keepdim=True)
+    return 1 + ASYMMETRY * preference[:, None, None, None] * beyond
+
+
+def trust(r: Tensor, deviation: Tensor) -> Tensor:
+    """The weight of a target pixel: s² / (s² + 4 σ²), with s the signal and σ the target's noise.
+
+    Both are averaged over 5x5 pixels first. A pixel that is bright by chance also has a large σ by
+    chance; a weight from that pixel alone would prefer dark targets, and darken the result.
+    """
+    s = F.avg_pool2d(r.mean(1, keepdim=True), 5, 1, 2, count_include_pad=False) + EPSILON
+    variance = F.avg_pool2d(deviation**2, 5, 1, 2, count_include_pad=False)
+    return s * s / (s * s + DISCOUNT * variance)
+
+
+def denoising(
+    x: Tensor, r: Tensor, c: Tensor, deviation: Tensor, preference: Tensor
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss that Lambent's denoiser is trained with, and its terms."""
+    weight = trust(r, deviation)
+    weight = weight / weight.mean((1, 2, 3), keepdim=True)
+    own = weight * asymmetric(x, r, c, preference)
+    wide = smape(F.avg_pool2d(x, 4), F.avg_pool2d(r, 4))
+    terms = {
+        "smape": (own * smape(x, r)).mean(),
+        "square": (own * relative_square(x, r)).mean(),
+        "gradient": (weight * gradient(x, r)).mean(),
+        "wide": wide.mean(),
+    }
+    total = terms["smape"] + 0.5 * terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
+    return total, terms

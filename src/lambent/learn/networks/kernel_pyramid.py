@@ -1,0 +1,146 @@
+"""The filter that the network predicts, in PyTorch, for training; `kernels.pyramid` runs it.
+
+A pyramid of images, each half as large as the one before, is averaged from the coarsest to the
+finest. After "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo Renderings"
+(Bako et al. 2017, eq. 6: softmax weights), "Denoising with Kernel Prediction and Asymmetric Loss
+Functions" (Vogels et al. 2018, sec. 5.2: several scales) and "Neural Partitioning Pyramids for
+Denoising Monte Carlo Renderings" (Balint et al. 2023: learned down- and upsampling). In the order
+of computation, with c_0 the image to filter, p and q pixels of a level l:
+
+    c_{l+1}(p) = Σ_{q in the 2x2 under p} e^{u_l(q)} c_l(q) / Σ e^{u_l(q)}               (1)
+    o_4(p)     = Σ_{q in 5x5 around p} w_4(p, q) c_4(q)                                   (2)
+    o_l(p)     = Σ_{q in 5x5} w_l(p, q) c_l(q) + Σ_{q in 3x3 above p} v_l(p, q) o_{l+1}(q) (3)
+
+One softmax over the 25 weights w and the 9 weights v of a pixel makes each step an average: grey
+stays grey, the range of values is kept, and the partition between the scales needs no number of
+its own. Departures: the partition and the upsampling weights are one softmax, and (1) uses one
+logit a pixel, so that a firefly can be kept out of the coarse levels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+#: Taps of a level's own window (5x5), and of the coarser level's (3x3).
+OWN, COARSE = 25, 9
+#: Logits of a level that has a coarser one: own taps, coarse taps, the weight for going down.
+LOGITS = OWN + COARSE + 1
+#: Levels of the pyramid.
+LEVELS = 5
+#: A logit that is never chosen.
+NEVER = -1e4
+
+
+def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
+    """Filter ``image`` ``(B, C, H, W)``; ``logits[l]`` is ``(B, 35 or 25, H / 2^l, W / 2^l)``."""
+    images = [image]
+    for level in range(len(logits) - 1):
+        images.append(_down(images[-1], logits[level][:, OWN + COARSE :]))
+    out: Tensor | None = None
+    for level in range(len(logits) - 1, -1, -1):
+        count = OWN if out is None else OWN + COARSE
+        weights = _softmax(logits[level][:, :count])
+        own = _Gather.apply(weights[:, :OWN], images[level])
+        out = own if out is None else own + _GatherUp.apply(weights[:, OWN:], out)
+    assert out is not None
+    return out
+
+
+def _down(image: Tensor, u: Tensor) -> Tensor:
+    """(1)"""
+    b, c, h, w = image.shape
+    u = u.reshape(b, 1, h // 2, 2, w // 2, 2)
+    e = torch.exp(u - u.amax((3, 5), keepdim=True))
+    e = e / e.sum((3, 5), keepdim=True)
+    return (image.reshape(b, c, h // 2, 2, w // 2, 2) * e).sum((3, 5))
+
+
+def _softmax(logits: Tensor) -> Tensor:
+    """Over the taps, those outside the image left out."""
+    outside = _outside(logits.shape[1], logits.shape[2], logits.shape[3], logits.device)
+    return torch.softmax(logits.float() + outside, 1)
+
+
+_masks: dict[tuple[int, int, int, torch.device], Tensor] = {}
+
+
+def _outside(taps: int, height: int, width: int, device: torch.device) -> Tensor:
+    """``(1, taps, H, W)``: `NEVER` where a tap lies outside the image, else 0."""
+    key = (taps, height, width, device)
+    if key not in _masks:
+        if len(_masks) > 64:
+            _masks.clear()
+        inside = F.unfold(F.pad(torch.ones(1, 1, height, width), (2, 2, 2, 2)), 5)
+        found = [inside.reshape(1, OWN, height, width)]
+        if taps > OWN:
+            above = F.unfold(F.pad(torch.ones(1, 1, height // 2, width // 2), (1, 1, 1, 1)), 3)
+            above = above.reshape(1, COARSE, height // 2, width // 2)
+            found.append(F.interpolate(above, scale_factor=2, mode="nearest"))
+        _masks[key] = ((1 - torch.cat(found, 1)) * NEVER).to(device)
+    return _masks[key]
+
+
+class _Gather(torch.autograd.Function):
+    """Σ_q w(p, q) c(q) over 5x5, tap by tap: an unfolded image would be 25 times as large."""
+
+    @staticmethod
+    def forward(ctx, weights, image):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        ctx.save_for_backward(weights, image)
+        padded = F.pad(image, (2, 2, 2, 2))
+        h, w = image.shape[2:]
+        out = torch.zeros_like(image)
+        for k in range(OWN):
+            y, x = divmod(k, 5)
+            out.addcmul_(weights[:, k : k + 1], padded[:, :, y : y + h, x : x + w])
+        return out
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        weights, image = ctx.saved_tensors
+        padded = F.pad(image, (2, 2, 2, 2))
+        h, w = image.shape[2:]
+        to_weights = torch.empty_like(weights)
+        to_padded = torch.zeros_like(padded) if ctx.needs_input_grad[1] else None
+        for k in range(OWN):
+            y, x = divmod(k, 5)
+            at = padded[:, :, y : y + h, x : x + w]
+            torch.sum(grad * at, 1, out=to_weights[:, k])
+            if to_padded is not None:
+                to_padded[:, :, y : y + h, x : x + w].addcmul_(weights[:, k : k + 1], grad)
+        return to_weights, None if to_padded is None else to_padded[:, :, 2:-2, 2:-2]
+
+
+class _GatherUp(torch.autograd.Function):
+    """Σ_q v(p, q) o(q) over the 3x3 pixels of the coarser level around the one above p."""
+
+    @staticmethod
+    def forward(ctx, weights, coarse):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        ctx.save_for_backward(weights, coarse)
+        b, c, h, w = coarse.shape
+        padded = F.pad(coarse, (1, 1, 1, 1))
+        v = weights.reshape(b, 1, COARSE, h, 2, w, 2)
+        out = coarse.new_zeros(b, c, h, 2, w, 2)
+        for k in range(COARSE):
+            y, x = divmod(k, 3)
+            out.addcmul_(v[:, :, k], padded[:, :, y : y + h, None, x : x + w, None])
+        return out.reshape(b, c, 2 * h, 2 * w)
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        weights, coarse = ctx.saved_tensors
+        b, c, h, w = coarse.shape
+        padded = F.pad(coarse, (1, 1, 1, 1))
+        v = weights.reshape(b, 1, COARSE, h, 2, w, 2)
+        g = grad.reshape(b, c, h, 2, w, 2)
+        to_weights = torch.empty(b, COARSE, h, 2, w, 2)
+        to_padded = torch.zeros_like(padded)
+        for k in range(COARSE):
+            y, x = divmod(k, 3)
+            at = padded[:, :, y : y + h, None, x : x + w, None]
+            torch.sum(g * at, 1, out=to_weights[:, k])
+            to_padded[:, :, y : y + h, x : x + w] += (g * v[:, :, k]).sum((3, 5))
+        return to_weights.reshape(weights.shape), to_padded[:, :, 1:-1, 1:-1]

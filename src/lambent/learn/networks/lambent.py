@@ -1,0 +1,108 @@
+"""Lambent's own network: a small U-Net that predicts the kernels of a pyramid.
+
+What it predicts and why: `kernel_pyramid` and `denoise.inputs`. The backbone is as plain as it can
+be, because plain 3x3 convolutions with ReLU are what int8 runs fastest: no normalisation, no
+attention, strided convolutions on the way down, nearest neighbours on the way up::
+
+    half      stem ─ enc0 ──────────────────────────── dec0a ─ dec0b ─ head1, head0 (full size)
+    quarter        down1 ─ enc1 ────────────── dec1a ─ dec1b ─ head2
+    eighth                down2 ─ enc2 ─ dec2a ─ dec2b ─ head3
+    sixteenth                    down3 ─ enc3a ─ enc3b ─ head4
+
+The full-size logits come out of the half-size features by a shuffle of 2x2 pixels (sub-pixel
+convolution), so nothing ever runs at full size.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from lambent.denoise.inputs import CHANNELS
+from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply
+
+#: Widths of the four levels, by size.
+WIDTHS = {
+    "fast": (32, 48, 64, 80),
+    "default": (48, 64, 96, 128),
+    "best": (64, 96, 128, 192),
+}
+#: The image's sides must be multiples of this.
+MULTIPLE = 32
+
+
+class LambentNet(nn.Module):
+    """Packed inputs ``(B, CHANNELS, H/2, W/2)`` to logits.
+
+    Returns five tensors: ``(B, 4·36, H/2, W/2)`` for the full size (`unshuffled` takes it apart),
+    then ``(B, 35, …)`` at half, quarter and eighth, ``(B, 25, …)`` at a sixteenth.
+    """
+
+    def __init__(self, size: str = "default") -> None:
+        super().__init__()
+        a, b, c, d = WIDTHS[size]
+        self.size = size
+        self.stem = _conv(CHANNELS, a)
+        self.enc0 = _conv(a, a)
+        self.down1 = _conv(a, b, stride=2)
+        self.enc1 = _conv(b, b)
+        self.down2 = _conv(b, c, stride=2)
+        self.enc2 = _conv(c, c)
+        self.down3 = _conv(c, d, stride=2)
+        self.enc3a = _conv(d, d)
+        self.enc3b = _conv(d, d)
+        self.dec2a = _conv(d + c, c)
+        self.dec2b = _conv(c, c)
+        self.dec1a = _conv(c + b, b)
+        self.dec1b = _conv(b, b)
+        self.dec0a = _conv(b + a, a)
+        self.dec0b = _conv(a, a)
+        self.head0 = nn.Conv2d(a, 4 * (LOGITS + 1), 1)
+        self.head1 = nn.Conv2d(a, LOGITS, 1)
+        self.head2 = nn.Conv2d(b, LOGITS, 1)
+        self.head3 = nn.Conv2d(c, LOGITS, 1)
+        self.head4 = nn.Conv2d(d, OWN, 1)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                nn.init.zeros_(module.bias)  # type: ignore[arg-type]
+        for head in (self.head0, self.head1, self.head2, self.head3, self.head4):
+            nn.init.normal_(head.weight, std=0.02)  # begin with nearly equal weights
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The logits of the five levels, finest first."""
+        r = F.relu
+        e0 = r(self.enc0(r(self.stem(x))))
+        e1 = r(self.enc1(r(self.down1(e0))))
+        e2 = r(self.enc2(r(self.down2(e1))))
+        e3 = r(self.enc3b(r(self.enc3a(r(self.down3(e2))))))
+        d2 = r(self.dec2b(r(self.dec2a(torch.cat([_up(e3), e2], 1)))))
+        d1 = r(self.dec1b(r(self.dec1a(torch.cat([_up(d2), e1], 1)))))
+        d0 = r(self.dec0b(r(self.dec0a(torch.cat([_up(d1), e0], 1)))))
+        return self.head0(d0), self.head1(d0), self.head2(d1), self.head3(d2), self.head4(e3)
+
+
+def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Tensor:
+    """Filter ``colour`` ``(B, 3, H, W)`` with the network's outputs.
+
+    With F the filter of the pyramid, d the divisor and g the gate in (0, 1):
+
+        out = g · d · F(colour / d) + (1 - g) · F(colour)
+
+    The first term keeps texture under light that varies slowly; the second is for pixels whose
+    albedo is itself noise (depth of field) or says nothing (glass, smoke).
+    """
+    fine = F.pixel_shuffle(outputs[0].float(), 2)
+    logits = [fine[:, :LOGITS], *(o.float() for o in outputs[1:])]
+    both = apply(logits, torch.cat([colour / divisor, colour], 1))
+    gate = torch.sigmoid(fine[:, LOGITS:])
+    return gate * divisor * both[:, :3] + (1 - gate) * both[:, 3:]
+
+
+def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, stride, 1)
+
+
+def _up(x: Tensor) -> Tensor:
+    return F.interpolate(x, scale_factor=2.0, mode="nearest")
