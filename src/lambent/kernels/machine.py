@@ -17,6 +17,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import platform
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -154,6 +155,11 @@ class Code:
         more = self._new(f"fcmp ogt {VECTOR} {a}, {b}")
         return self._new(f"select <{LANES} x i1> {more}, {VECTOR} {a}, {VECTOR} {b}")
 
+    def shuffle(self, a: str, b: str, lanes: Sequence[int]) -> str:
+        """The lanes of a and b with these numbers; those of b count from 16."""
+        mask = ", ".join(f"i32 {lane}" for lane in lanes)
+        return self._new(f"shufflevector {VECTOR} {a}, {VECTOR} {b}, {_INTEGERS} <{mask}>")
+
     def exp(self, x: str) -> str:
         """exp(x) as a weight: `lambent.kernels.exponential`."""
         from lambent.kernels.exponential import LOG2_E, POLYNOMIAL, ROUND
@@ -250,10 +256,7 @@ class Kernel:
         """
         import drjit as dr
 
-        if self._function is None:
-            code = Code()
-            self.write(code)
-            self._function = _compile(code.text(self.name), self.name)
+        self._ready()
         numbers = np.array(
             [p.ctypes.data if isinstance(p, np.ndarray) else p for p in params], np.int64
         )
@@ -272,6 +275,26 @@ class Kernel:
             return
         with ThreadPoolExecutor(count) as pool:
             list(pool.map(work, range(count)))
+
+    def call(
+        self, params: Sequence[int | np.ndarray], first: int, last: int, scratch: np.ndarray
+    ) -> None:
+        """Run it on rows ``first`` to ``last`` on the calling thread, with its own scratch."""
+        self._ready()
+        numbers = np.array(
+            [p.ctypes.data if isinstance(p, np.ndarray) else p for p in params], np.int64
+        )
+        self._function(numbers.ctypes.data, first, last, scratch.ctypes.data)
+
+    def _ready(self) -> None:
+        with _compiling:
+            if self._function is None:
+                code = Code()
+                self.write(code)
+                self._function = _compile(code.text(self.name), self.name)
+
+
+_compiling = threading.Lock()
 
 
 def available(device: str = "auto") -> bool:

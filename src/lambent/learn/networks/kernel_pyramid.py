@@ -21,9 +21,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from lambent.kernels import pyramid_gradient as gradient
+from lambent.kernels.machine import available
 
 #: Taps of a level's own window (5x5), and of the coarser level's (3x3).
 OWN, COARSE = 25, 9
@@ -36,24 +40,42 @@ NEVER = -1e4
 
 
 def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
-    """Filter ``image`` ``(B, C, H, W)``; ``logits[l]`` is ``(B, 35 or 25, H / 2^l, W / 2^l)``."""
+    """Filter ``image`` ``(B, C, H, W)``.
+
+    ``logits[0]`` is ``(B, 4·K, H/2, W/2)``, channel 4 k + 2 y + x for the pixels (2 i + y, 2 j + x)
+    with K >= 35; ``logits[l]`` is ``(B, 35, H / 2^l, W / 2^l)``, the coarsest ``(B, 25, …)``.
+    """
     images = [image]
     for level in range(len(logits) - 1):
-        images.append(_down(images[-1], logits[level][:, OWN + COARSE :]))
+        images.append(_down(images[-1], logits[level], packed=level == 0))
     out: Tensor | None = None
     for level in range(len(logits) - 1, -1, -1):
-        count = OWN if out is None else OWN + COARSE
-        weights = _softmax(logits[level][:, :count])
-        own = _Gather.apply(weights[:, :OWN], images[level])
-        out = own if out is None else own + _GatherUp.apply(weights[:, OWN:], out)
+        out = _average(logits[level], images[level], out, packed=level == 0)
     assert out is not None
     return out
 
 
-def _down(image: Tensor, u: Tensor) -> Tensor:
+def _average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:
+    """(2) and (3), by compiled kernels where there are any."""
+    if image.device.type == "cpu" and available():
+        return _Average.apply(logits, image, coarse)
+    if packed:
+        logits = F.pixel_shuffle(logits, 2)
+    count = OWN if coarse is None else OWN + COARSE
+    weights = _softmax(logits[:, :count])
+    own = _Gather.apply(weights[:, :OWN], image)
+    return own if coarse is None else own + _GatherUp.apply(weights[:, OWN:], coarse)
+
+
+def _down(image: Tensor, logits: Tensor, packed: bool) -> Tensor:
     """(1)"""
     b, c, h, w = image.shape
-    u = u.reshape(b, 1, h // 2, 2, w // 2, 2)
+    first = OWN + COARSE
+    if packed:
+        u = logits[:, 4 * first : 4 * first + 4].reshape(b, 1, 2, 2, h // 2, w // 2)
+        u = u.permute(0, 1, 4, 2, 5, 3)
+    else:
+        u = logits[:, first : first + 1].reshape(b, 1, h // 2, 2, w // 2, 2)
     e = torch.exp(u - u.amax((3, 5), keepdim=True))
     e = e / e.sum((3, 5), keepdim=True)
     return (image.reshape(b, c, h // 2, 2, w // 2, 2) * e).sum((3, 5))
@@ -82,6 +104,26 @@ def _outside(taps: int, height: int, width: int, device: torch.device) -> Tensor
             found.append(F.interpolate(above, scale_factor=2, mode="nearest"))
         _masks[key] = ((1 - torch.cat(found, 1)) * NEVER).to(device)
     return _masks[key]
+
+
+class _Average(torch.autograd.Function):
+    """(2) and (3) by `kernels.pyramid_gradient`."""
+
+    @staticmethod
+    def forward(ctx, logits, image, coarse):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        own = gradient.levels_of(image.detach().numpy())
+        above = None if coarse is None else gradient.levels_of(coarse.detach().numpy())
+        numbers = gradient.with_room(logits.detach().numpy())
+        found = gradient.average(numbers, own, above)
+        ctx.kept = numbers, own, above, logits.shape[3]
+        return torch.from_numpy(np.stack([level.inside[:-1] for level in found]))
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+        numbers, own, above, width = ctx.kept
+        levels = gradient.levels_of(grad.numpy(), masked=False)
+        a, b, c = gradient.gradients(numbers, own, above, levels, ctx.needs_input_grad[1])
+        return tuple(None if f is None else torch.from_numpy(f) for f in (a[..., :width], b, c))
 
 
 class _Gather(torch.autograd.Function):

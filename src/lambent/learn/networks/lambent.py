@@ -93,10 +93,9 @@ def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Te
     The first term keeps texture under light that varies slowly; the second is for pixels whose
     albedo is itself noise (depth of field) or says nothing (glass, smoke).
     """
-    fine = F.pixel_shuffle(outputs[0].float(), 2)
-    logits = [fine[:, :LOGITS], *(o.float() for o in outputs[1:])]
+    logits = [o.float() for o in outputs]
     both = apply(logits, torch.cat([colour / divisor, colour], 1))
-    gate = torch.sigmoid(fine[:, LOGITS:])
+    gate = torch.sigmoid(F.pixel_shuffle(logits[0][:, 4 * LOGITS :], 2))
     return gate * divisor * both[:, :3] + (1 - gate) * both[:, 3:]
 
 

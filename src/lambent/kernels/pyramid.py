@@ -1,0 +1,386 @@
+"""Applying predicted kernels on a pyramid of images: the filter of Lambent's own network.
+
+The equations, the papers and the training form are in `lambent.learn.networks.kernel_pyramid`:
+softmax weights of 5x5 pixels of a level and 3x3 of the coarser one, and one logit a pixel for the
+way down. Here they run on a whole frame, for any number of channels at once; all get the same
+weights. Pixels outside the frame never get any.
+
+Two forms: `filter_planes` compiles loops of its own (`kernels.machine`), in which the weights of a
+few pixels are made once and stay in the first cache for all channels; `reference` is the same in
+NumPy, for machines without LLVM and for tests.
+
+Logits come as the network gives them, channels first: ``logits[0]`` ``(4·K, H/2, W/2)`` with
+channel 4 k + 2 y + x for the pixels (2 i + y, 2 j + x), then ``(K, H/2, W/2)``, and so on; K is 35
+and more (what follows is ignored), 25 on the coarsest level. H and W are multiples of 32; the frame
+itself may be smaller (``height``, ``width``).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lambent.kernels.arrays import FloatImage, aligned
+from lambent.kernels.machine import LANES, Code, Kernel, available
+
+#: Taps of a level's own window (5x5), and of the coarser level's (3x3).
+OWN, COARSE = 25, 9
+TINY = 1e-30
+#: Empty columns left and right of a plane, and rows above and below.
+_LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """An image as planes with empty surroundings; the last plane is 1 where there is a pixel.
+
+    ``memory`` ``(C + 1, rows, stride)``; `inside` is the part that holds the image.
+    """
+
+    memory: FloatImage
+    height: int
+    width: int
+
+    @classmethod
+    def empty(cls, channels: int, height: int, width: int) -> Level:
+        """All zero. ``channels`` without the mask."""
+        stride = -(-width // LANES) * LANES + _LEFT + _RIGHT
+        return cls(aligned((channels + 1, height + 2 * _ROWS, stride)), height, width)
+
+    @property
+    def inside(self) -> FloatImage:
+        """``(C + 1, height, width)``, a view."""
+        rows, columns = slice(_ROWS, _ROWS + self.height), slice(_LEFT, _LEFT + self.width)
+        return self.memory[:, rows, columns]
+
+    @property
+    def params(self) -> list[int | np.ndarray]:
+        """For kernels: the address of pixel (0, 0), floats from row to row and plane to plane."""
+        planes, rows, stride = self.memory.shape
+        start = self.memory[0, _ROWS:, _LEFT:]
+        return [start, stride, rows * stride, planes - 1]
+
+
+def padded(size: int) -> int:
+    """The least multiple of 32 from ``size`` on: what the network works on."""
+    return -(-size // 32) * 32
+
+
+def level_of(channels: int, height: int, width: int) -> Level:
+    """The finest level of a frame of ``height`` x ``width``, its mask set, its pixels 0.
+
+    ``channels`` is rounded up to a multiple of 3.
+    """
+    count = -(-channels // 3) * 3
+    level = Level.empty(count, padded(height), padded(width))
+    level.inside[-1, :height, :width] = 1
+    return level
+
+
+def filter_planes(logits: Sequence[FloatImage], level: Level, device: str = "auto") -> Level:
+    """The filtered planes of ``level`` (from `level_of`), its mask carried along.
+
+    ``logits`` must have `LANES` floats of memory behind their end (see `logits_memory`).
+    """
+    if not available(device):
+        found = Level.empty(len(level.memory) - 1, level.height, level.width)
+        found.inside[:-1] = reference(logits, level.inside[:-1], level.inside[-1])
+        found.inside[-1] = level.inside[-1]
+        return found
+    levels = [level]
+    for number in range(len(logits) - 1):
+        levels.append(_down(levels[-1], logits[number], packed=number == 0))
+    out: Level | None = None
+    for number in range(len(logits) - 1, -1, -1):
+        out = _gather(levels.pop(), logits[number], out, packed=number == 0)
+    assert out is not None
+    return out
+
+
+def logits_memory(shape: tuple[int, ...]) -> FloatImage:
+    """An array for logits with room behind its end, as kernels that read whole vectors need."""
+    count = int(np.prod(shape))
+    return aligned((count + 4 * LANES,))[:count].reshape(shape)
+
+
+# -------------------------------------------------------------------- kernels
+
+
+def _down(level: Level, logits: FloatImage, packed: bool) -> Level:
+    """The next coarser level, equation (1)."""
+    coarse = Level.empty(len(level.memory) - 1, level.height // 2, level.width // 2)
+    first = 4 * (OWN + COARSE) if packed else OWN + COARSE
+    _down_kernel(packed).rows(
+        [
+            *level.params,
+            *coarse.params,
+            logits[first],
+            logits.shape[2],
+            logits.shape[1] * logits.shape[2],
+            coarse.width,
+        ],
+        0,
+        coarse.height,
+    )
+    return coarse
+
+
+def _gather(level: Level, logits: FloatImage, coarse: Level | None, packed: bool) -> Level:
+    """A level filtered, equations (2) and (3)."""
+    out = Level.empty(len(level.memory) - 1, level.height, level.width)
+    out.memory[-1] = level.memory[-1]
+    above = coarse if coarse is not None else level
+    _gather_kernel(packed, coarse is not None).rows(
+        [
+            *level.params,
+            *above.params,
+            *out.params,
+            logits,
+            logits.shape[2],
+            logits.shape[1] * logits.shape[2],
+            level.width,
+        ],
+        0,
+        level.height,
+        scratch=(OWN + COARSE) * 2 * LANES,
+    )
+    return out
+
+
+_EVEN, _ODD = range(0, 2 * LANES, 2), range(1, 2 * LANES, 2)
+#: Lanes of two vectors woven together: the first 16, the last 16.
+_WEAVE = (
+    [lane for k in range(LANES // 2) for lane in (k, LANES + k)],
+    [lane for k in range(LANES // 2, LANES) for lane in (k, LANES + k)],
+)
+#: Each lane twice: the lower half, the upper half.
+_TWICE = ([k // 2 for k in range(LANES)], [LANES // 2 + k // 2 for k in range(LANES)])
+
+
+@dataclass(frozen=True)
+class _Image:
+    """Parameters of a `Level` in a kernel."""
+
+    base: str
+    stride: str
+    plane: str
+    mask: str
+
+    @classmethod
+    def of(cls, code: Code, first: int) -> _Image:
+        base, stride, plane = code.address(first), code.param(first + 1), code.param(first + 2)
+        return cls(base, stride, plane, code.integer("mul", plane, code.param(first + 3)))
+
+
+@functools.lru_cache(maxsize=2)
+def _down_kernel(packed: bool) -> Kernel:
+    def write(code: Code) -> None:
+        fine, coarse = _Image.of(code, 0), _Image.of(code, 4)
+        u, stride, plane, width = code.address(8), code.param(9), code.param(10), code.param(11)
+        count = code.param(3)
+
+        def split(image: str, at: str) -> list[str]:
+            """Two vectors in memory as their even and their odd lanes."""
+            a, b = code.load(code.at(image, at)), code.load(code.at(image, at, LANES))
+            return [code.shuffle(a, b, _EVEN), code.shuffle(a, b, _ODD)]
+
+        with code.loop("%first", "%last") as row:
+            up = code.integer("mul", row.i, 2)
+            rows = [code.integer("mul", code.integer("add", up, y), fine.stride) for y in (0, 1)]
+            to = code.integer("mul", row.i, coarse.stride)
+            with code.loop(0, width, LANES) as x:
+                x2 = code.integer("mul", x.i, 2)
+                if packed:
+                    line = code.integer("add", code.integer("mul", row.i, stride), x.i)
+                    logits = [
+                        code.load(code.at(u, line, code.integer("mul", plane, k))) for k in range(4)
+                    ]
+                else:
+                    logits = []
+                    for y in (0, 1):
+                        line = code.integer("mul", code.integer("add", up, y), stride)
+                        logits += split(u, code.integer("add", line, x2))
+                highest = logits[0]
+                for value in logits[1:]:
+                    highest = code.greater(highest, value)
+                e = [code.exp(code.op("fsub", value, highest)) for value in logits]
+                masks = [m for y in (0, 1) for m in split(fine.base, _sum(code, fine.mask, rows[y], x2))]
+                e = [code.op("fmul", a, m) for a, m in zip(e, masks, strict=True)]
+                total = code.number(TINY)
+                for value in e:
+                    total = code.op("fadd", total, value)
+                one = code.op("fdiv", code.number(1.0), total)
+                e = [code.op("fmul", value, one) for value in e]
+                there = masks[0]
+                for m in masks[1:]:
+                    there = code.greater(there, m)
+                target = code.integer("add", to, x.i)
+                code.store(there, code.at(coarse.base, coarse.mask, target))
+                with code.loop(0, count) as c:
+                    offset = code.integer("mul", c.i, fine.plane)
+                    mean = code.number(0.0)
+                    for y in (0, 1):
+                        halves = split(fine.base, _sum(code, offset, rows[y], x2))
+                        for k, value in enumerate(halves):
+                            mean = code.fma(e[2 * y + k], value, mean)
+                    place = code.integer("add", code.integer("mul", c.i, coarse.plane), target)
+                    code.store(mean, code.at(coarse.base, place))
+
+    return Kernel(f"pyramid_down_{int(packed)}", write)
+
+
+@functools.lru_cache(maxsize=4)
+def _gather_kernel(packed: bool, with_coarse: bool) -> Kernel:
+    taps = OWN + (COARSE if with_coarse else 0)
+    parts = 2 if packed else 1
+    step = parts * LANES
+
+    def write(code: Code) -> None:
+        own, above, out = (_Image.of(code, first) for first in (0, 4, 8))
+        w, stride, plane, width = code.address(12), code.param(13), code.param(14), code.param(15)
+        count = code.param(3)
+
+        def weight(k: int, part: int) -> str:
+            return code.at("%scratch", step * k + LANES * part)
+
+        with code.loop("%first", "%last") as row:
+            half = code.integer("lshr", row.i, 1)
+            parity = code.integer("and", row.i, 1)
+            lines = [
+                code.integer("mul", code.integer("add", row.i, dy), own.stride)
+                for dy in range(-2, 3)
+            ]
+            lines2 = [
+                code.integer("mul", code.integer("add", half, dy), above.stride)
+                for dy in range(-1, 2)
+            ]
+            if packed:
+                begin = code.integer("mul", half, stride)
+                begin = code.integer(
+                    "add", begin, code.integer("mul", code.integer("mul", parity, 2), plane)
+                )
+            else:
+                begin = code.integer("mul", row.i, stride)
+            with code.loop(0, width, step) as x:
+                x_half = code.integer("lshr", x.i, 1)
+                here = code.integer("add", begin, x_half if packed else x.i)
+
+                def logit(k: int, part: int) -> str:
+                    number = 4 * k + part if packed else k
+                    return code.load(code.at(w, here, code.integer("mul", plane, number)))
+
+                highest = [logit(0, part) for part in range(parts)]
+                for k in range(1, taps):
+                    highest = [code.greater(h, logit(k, p)) for p, h in enumerate(highest)]
+                for k in range(taps):
+                    e = [code.exp(code.op("fsub", logit(k, p), highest[p])) for p in range(parts)]
+                    if packed:  # pixels side by side again
+                        e = [code.shuffle(e[0], e[1], lanes) for lanes in _WEAVE]
+                    for part in range(parts):
+                        code.store(e[part], weight(k, part))
+
+                def averages(planes: Sequence[tuple[str, str]]) -> list[list[str]]:
+                    """Σ weight · value for planes at offsets (own, coarse); a list for each."""
+                    sums = [[code.number(0.0)] * parts for _ in planes]
+                    for k in range(taps):
+                        e = [code.load(weight(k, part)) for part in range(parts)]
+                        for sum_, (offset, offset2) in zip(sums, planes, strict=True):
+                            if k < OWN:
+                                dy, dx = divmod(k, 5)
+                                at = _sum(code, offset, lines[dy], x.i)
+                                values = [
+                                    code.load(code.at(own.base, at, LANES * part + dx - 2))
+                                    for part in range(parts)
+                                ]
+                            else:
+                                dy, dx = divmod(k - OWN, 3)
+                                at = _sum(code, offset2, lines2[dy], x_half)
+                                both = code.load(code.at(above.base, at, dx - 1))
+                                values = [
+                                    code.shuffle(both, both, _TWICE[part]) for part in range(parts)
+                                ]
+                            for part in range(parts):
+                                sum_[part] = code.fma(e[part], values[part], sum_[part])
+                    return sums
+
+                total = averages([(own.mask, above.mask)])[0]
+                target = code.integer("add", code.integer("mul", row.i, out.stride), x.i)
+                scale = []
+                for part in range(parts):
+                    at = code.at(out.base, out.mask, target, LANES * part)
+                    sure = code.op("fadd", total[part], code.number(TINY))
+                    scale.append(code.op("fdiv", code.load(at), sure))
+                with code.loop(0, count, 3) as c:
+                    numbers = [code.integer("add", c.i, n) for n in range(3)]
+                    planes = [
+                        (code.integer("mul", n, own.plane), code.integer("mul", n, above.plane))
+                        for n in numbers
+                    ]
+                    for n, sums in zip(numbers, averages(planes), strict=True):
+                        place = code.integer("add", code.integer("mul", n, out.plane), target)
+                        for part in range(parts):
+                            mean = code.op("fmul", sums[part], scale[part])
+                            code.store(mean, code.at(out.base, place, LANES * part))
+
+    return Kernel(f"pyramid_gather_{int(packed)}{int(with_coarse)}", write)
+
+
+def _sum(code: Code, *numbers: str) -> str:
+    total = numbers[0]
+    for number in numbers[1:]:
+        total = code.integer("add", total, number)
+    return total
+
+
+# ------------------------------------------------------------------ reference
+
+
+def reference(logits: Sequence[FloatImage], image: FloatImage, mask: FloatImage) -> FloatImage:
+    """The same in NumPy: ``image`` ``(C, H, W)``, ``mask`` ``(H, W)`` 1 where there is a pixel."""
+    fine = logits[0]
+    count, height, width = fine.shape[0] // 4, fine.shape[1], fine.shape[2]
+    fine = fine.reshape(count, 2, 2, height, width).transpose(0, 3, 1, 4, 2)
+    planes = [fine.reshape(count, 2 * height, 2 * width), *logits[1:]]
+    images, masks = [image], [mask]
+    for level in planes[:-1]:
+        c, m = images[-1], masks[-1]
+        u = _cells(level[OWN + COARSE])
+        e = np.exp(u - u.max(axis=(1, 3), keepdims=True)) * _cells(m)
+        total = e.sum(axis=(1, 3)) + TINY
+        images.append(np.stack([(e * _cells(plane)).sum(axis=(1, 3)) / total for plane in c]))
+        masks.append(_cells(m).max(axis=(1, 3)))
+    out: FloatImage | None = None
+    for number in range(len(planes) - 1, -1, -1):
+        c, m = images[number], masks[number]
+        taps = OWN if out is None else OWN + COARSE
+        e = np.exp(planes[number][:taps] - planes[number][:taps].max(axis=0))
+        total, sums = np.zeros_like(m), np.zeros_like(c)
+        for k in range(taps):
+            if k < OWN:
+                value, there = _moved(c, *divmod(k, 5), 2), _moved(m[None], *divmod(k, 5), 2)
+            else:
+                assert out is not None
+                y, x = divmod(k - OWN, 3)
+                value = _doubled(_moved(out, y, x, 1))
+                there = _doubled(_moved(masks[number + 1][None], y, x, 1))
+            total += e[k] * there[0]
+            sums += e[k] * value
+        out = (sums / (total + TINY) * m).astype(np.float32)
+    assert out is not None
+    return out
+
+
+def _cells(plane: FloatImage) -> FloatImage:
+    return plane.reshape(plane.shape[0] // 2, 2, plane.shape[1] // 2, 2)
+
+
+def _moved(image: FloatImage, y: int, x: int, radius: int) -> FloatImage:
+    padded_image = np.pad(image, ((0, 0), (radius, radius), (radius, radius)))
+    return padded_image[:, y : y + image.shape[1], x : x + image.shape[2]]
+
+
+def _doubled(image: FloatImage) -> FloatImage:
+    return image.repeat(2, axis=1).repeat(2, axis=2)
