@@ -84,3 +84,9 @@ def engine(device: str = "auto") -> str:
         remedy="pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM; "
         "the models named oidn* work without",
     )
+
+
+def cache_folder() -> Path:
+    """Where Lambent keeps what it can make again: ``$LAMBENT_CACHE`` or ``~/.cache/lambent``."""
+    base = os.environ.get("LAMBENT_CACHE")
+    return Path(base) if base else Path.home() / ".cache" / "lambent"

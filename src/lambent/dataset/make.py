@@ -25,6 +25,7 @@ from lambent.dataset.produce import Failed, Made
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.errors import OptionError
+from lambent.startup import cache_folder
 
 
 @dataclass
@@ -63,9 +64,7 @@ class Outcome:
 
 def default_folder(recipe: Recipe) -> Path:
     """``$LAMBENT_CACHE`` or ``~/.cache/lambent``, and in it ``datasets/NAME``."""
-    base = os.environ.get("LAMBENT_CACHE")
-    cache = Path(base) if base else Path.home() / ".cache" / "lambent"
-    return cache / "datasets" / recipe.name
+    return cache_folder() / "datasets" / recipe.name
 
 
 def make(

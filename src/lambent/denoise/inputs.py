@@ -39,12 +39,14 @@ from typing import Any
 
 import numpy as np
 
-from lambent.filters.features import Scales, fit_scales, variance_of
+from lambent.filters.features import variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.frame.misses import miss_mask
+from lambent.frame.misses import missing_depth
 from lambent.frame.role import Role
 
+#: Counts up when a network trained for one description could not read the other.
+VERSION = 1
 #: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
 OFFSET = 0.05
 #: t(v) = log(1 + SLOPE v) / RANGE: 0.18 becomes 0.22, 1 becomes 0.47, 1000 becomes 1.6.
@@ -98,11 +100,21 @@ class Signals:
         return {name: float(any(n in self.layers for n in of)) for name, of in MASKS.items()}
 
 
-def signals_of(frame: Frame, scales: Scales | None = None) -> Signals:
-    """The signals of a frame; ``scales`` are those of the whole frame where this is a tile.
+def typical_depth(frame: Frame) -> float:
+    """The median depth of every fourth pixel down and across that is no miss; 1 without any."""
+    depth = frame.get(Role.DEPTH)
+    if depth is None:
+        return 1.0
+    z = np.abs(depth[::4, ::4, 0])
+    z = z[np.isfinite(z) & ~missing_depth(z)]
+    return float(np.median(z)) if z.size else 1.0
 
-    Where there is no albedo, the sum of diffuse and specular albedo takes its place. A layer that
-    holds NaN counts as 0 there.
+
+def signals_of(frame: Frame, depth_scale: float | None = None) -> Signals:
+    """The signals of a frame; ``depth_scale`` is the whole frame's where this is a tile.
+
+    Where there is no albedo, the sum of diffuse and specular albedo takes its place. What is not
+    finite counts as 0.
     """
     colour = _planes(frame.colour)
     found: dict[str, Any] = {}
@@ -111,23 +123,22 @@ def signals_of(frame: Frame, scales: Scales | None = None) -> Signals:
         found["albedo"] = _planes(albedo)
     if (normal := frame.get(Role.NORMAL)) is not None:
         found["normal"] = _planes(normal)
-    scales = scales or fit_scales(frame)
     depth = frame.get(Role.DEPTH)
-    hit = None
     if depth is not None:
-        hit = np.where(miss_mask(frame), np.float32(1), np.abs(depth[:, :, 0]))
-        hit = np.maximum(np.nan_to_num(hit, nan=1.0, posinf=1.0), np.float32(1e-20))
-        relative = np.log(hit / np.float32(scales.depth_median)) / np.float32(DEPTH_RANGE)
-        relative = np.where(miss_mask(frame), np.float32(1), np.clip(relative, -1, 1))
-        found["depth"] = relative[None].astype(np.float32)
+        z = np.abs(depth[:, :, 0])
+        miss = missing_depth(z) | ~np.isfinite(z)
+        z = np.where(miss, np.float32(1), z)
+        scale = np.float32(depth_scale or typical_depth(frame))
+        relative = np.clip(np.log(z / scale) / np.float32(DEPTH_RANGE), -1, 1)
+        found["depth"] = np.where(miss, np.float32(1), relative)[None].astype(np.float32)
+        if (variance := variance_of(frame, Role.DEPTH)) is not None:
+            found["depth_std"] = np.sqrt(_planes(variance)[:1]) / z[None]
     if (roughness := frame.get(Role.ROUGHNESS)) is not None:
         found["roughness"] = _planes(roughness[:, :, :1])
     for name, role in (("colour", Role.COLOUR), ("albedo", Role.ALBEDO), ("normal", Role.NORMAL)):
         variance = variance_of(frame, role)
         if variance is not None:
             found[f"{name}_std"] = np.sqrt(_planes(variance).mean(0, keepdims=True))
-    if hit is not None and (variance := variance_of(frame, Role.DEPTH)) is not None:
-        found["depth_std"] = np.sqrt(_planes(variance)[:1]) / hit[None]
     return Signals(colour, found, float(frame.spp) if frame.spp else None)
 
 

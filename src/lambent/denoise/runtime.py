@@ -1,12 +1,31 @@
 """The inference engine for learned denoisers: the only place that imports OpenVINO.
 
-OpenVINO is optional so far (the embedded default, OIDN, brings its own engine); `probe` tells
-whether it is there and which precisions the processor runs natively.
+`network` compiles a model for this machine and keeps it for the process; what OpenVINO compiles is
+cached on disk (``$LAMBENT_CACHE`` or ``~/.cache/lambent``, folder ``compiled``), so that the next
+process starts with it. The network takes frames of any size. Its convolutions are int8; what is
+between them is computed in the processor's own short type (bfloat16 where it has matrix units for
+it), or in float32.
+
+`probe` tells whether OpenVINO is there and which precisions the processor runs natively.
 """
 
 from __future__ import annotations
 
+import functools
+import os
+import threading
 from dataclasses import dataclass
+from typing import Any
+
+from lambent.denoise.model_file import ModelFile
+from lambent.errors import DamagedFileError, EngineError
+from lambent.frame.layer import FloatImage
+from lambent.kernels.arrays import aligned
+from lambent.kernels.pyramid import Workspace, logits_memory
+from lambent.startup import cache_folder
+
+#: Levels of the pyramid, and the channels that the network gives for each (`learn.networks`).
+OUTPUTS = (144, 35, 35, 35, 25)
 
 
 @dataclass(frozen=True)
@@ -44,3 +63,106 @@ def probe() -> Inference | None:
         processor=str(core.get_property("CPU", "FULL_DEVICE_NAME")),
         precisions=tuple(name for name in known if name in abilities),
     )
+
+
+class Network:
+    """A compiled network. Calls take turns: one uses all cores, and its memory is used again."""
+
+    def __init__(self, compiled: Any) -> None:
+        self._request = compiled.create_infer_request()
+        self._lock = threading.Lock()
+        self._logits: list[FloatImage] = []
+        self._packed: FloatImage | None = None
+        self.workspace = Workspace()
+
+    def input(self, shape: tuple[int, ...]) -> FloatImage:
+        """Memory for packed inputs, the same for every frame of a size."""
+        if self._packed is None or self._packed.shape != shape:
+            self._packed = None
+            self._packed = aligned(shape)
+        return self._packed
+
+    def __enter__(self) -> Network:
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def __call__(self, packed: FloatImage) -> list[FloatImage]:
+        """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
+
+        Only within ``with network:``; the arrays are written again by the next call.
+        """
+        import openvino as ov
+
+        height, width = packed.shape[2:]
+        shapes = [
+            (count, height >> max(level - 1, 0), width >> max(level - 1, 0))
+            for level, count in enumerate(OUTPUTS)
+        ]
+        if [a.shape for a in self._logits] != shapes:
+            self._logits = [logits_memory(shape) for shape in shapes]
+            for number, array in enumerate(self._logits):
+                tensor = ov.Tensor(array[None], shared_memory=True)
+                self._request.set_output_tensor(number, tensor)
+        self._request.set_input_tensor(ov.Tensor(packed, shared_memory=True))
+        self._request.start_async()
+        while not self._request.wait_for(100):  # so that Ctrl-C is heard
+            pass
+        return self._logits
+
+
+_networks: dict[tuple[str, str, int | None], Network] = {}
+_networks_lock = threading.Lock()
+
+
+def network(model: ModelFile, precision: str = "auto", threads: int | None = None) -> Network:
+    """The network of a model, compiled for this machine.
+
+    ``precision``: of what is not int8: ``"auto"`` (the processor's best), or ``"f32"``.
+    Raises `EngineError` without OpenVINO, `DamagedFileError` for a network it does not take.
+    """
+    key = (str(model.card["sha256"]), precision, threads)
+    with _networks_lock:
+        if key not in _networks:
+            _networks[key] = Network(_compiled(model, precision, threads))
+        return _networks[key]
+
+
+def _compiled(model: ModelFile, precision: str, threads: int | None) -> Any:
+    try:
+        core = _core()
+    except ImportError as error:
+        raise EngineError(
+            f"OpenVINO does not load: {error}", remedy="pip install openvino, or --model oidn"
+        ) from error
+    options: dict[str, Any] = {"PERFORMANCE_HINT": "LATENCY"}
+    if precision == "f32":
+        options["INFERENCE_PRECISION_HINT"] = "f32"
+    if threads is not None:
+        options["INFERENCE_NUM_THREADS"] = threads
+    try:
+        graph = core.read_model(model.network, model.weights)
+        return core.compile_model(graph, "CPU", options)
+    except RuntimeError as error:
+        raise DamagedFileError(
+            f"OpenVINO does not take this network: {str(error).strip().splitlines()[-1]}",
+            file=model.path,
+            remedy="install Lambent again, or export the model again",
+        ) from error
+
+
+@functools.lru_cache(maxsize=1)
+def _core() -> Any:
+    import openvino as ov
+
+    core = ov.Core()
+    folder = cache_folder() / "compiled"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            core.set_property({"CACHE_DIR": str(folder)})
+    except OSError:
+        pass  # a home that cannot be written: compile each time
+    return core

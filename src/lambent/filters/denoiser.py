@@ -204,6 +204,9 @@ def choose_passes(frame: Frame, passes: str | Iterable[str] = "all") -> list[Lay
 DENOISERS = Registry(
     "model",
     {
+        "lambent": "lambent.denoise.learned:Lambent",
+        "lambent-fast": "lambent.denoise.learned:LambentFast",
+        "lambent-best": "lambent.denoise.learned:LambentBest",
         "oidn": "lambent.filters.oidn:OIDN",
         "oidn-balanced": "lambent.filters.oidn:OIDNBalanced",
         "oidn-fast": "lambent.filters.oidn:OIDNFast",

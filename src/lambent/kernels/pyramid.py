@@ -35,14 +35,19 @@ _LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """An image as planes with empty surroundings; the last plane is 1 where there is a pixel.
+    """An image as planes with empty surroundings; the first plane is 1 where there is a pixel.
 
-    ``memory`` ``(C + 1, rows, stride)``; `inside` is the part that holds the image.
+    ``memory`` ``(1 + C, rows, stride)``; `mask` and `planes` are the parts that hold the image.
     """
 
     memory: FloatImage
     height: int
     width: int
+
+    @property
+    def channels(self) -> int:
+        """Planes without the mask."""
+        return len(self.memory) - 1
 
     @classmethod
     def empty(cls, channels: int, height: int, width: int) -> Level:
@@ -51,17 +56,56 @@ class Level:
         return cls(aligned((channels + 1, height + 2 * _ROWS, stride)), height, width)
 
     @property
-    def inside(self) -> FloatImage:
-        """``(C + 1, height, width)``, a view."""
-        rows, columns = slice(_ROWS, _ROWS + self.height), slice(_LEFT, _LEFT + self.width)
-        return self.memory[:, rows, columns]
+    def planes(self) -> FloatImage:
+        """``(C, height, width)``, a view."""
+        return self.memory[(slice(1, None), *self._inside)]
+
+    @property
+    def mask(self) -> FloatImage:
+        """``(height, width)``, a view."""
+        return self.memory[(0, *self._inside)]
+
+    @property
+    def start(self) -> int:
+        """Floats from the first of the memory to pixel (0, 0) of the first plane."""
+        _, rows, stride = self.memory.shape
+        return (rows + _ROWS) * stride + _LEFT
+
+    @property
+    def _inside(self) -> tuple[slice, slice]:
+        return slice(_ROWS, _ROWS + self.height), slice(_LEFT, _LEFT + self.width)
 
     @property
     def params(self) -> list[int | np.ndarray]:
-        """For kernels: the address of pixel (0, 0), floats from row to row and plane to plane."""
-        planes, rows, stride = self.memory.shape
-        start = self.memory[0, _ROWS:, _LEFT:]
-        return [start, stride, rows * stride, planes - 1]
+        """For kernels: the address of the planes' pixel (0, 0), floats from row to row and from
+        plane to plane, the number of planes.
+        """
+        _, rows, stride = self.memory.shape
+        start = self.memory.reshape(-1)[self.start :]
+        return [start, stride, rows * stride, self.channels]
+
+
+class Workspace:
+    """Levels that are used again from frame to frame: fresh memory costs as much as filtering it.
+
+    For one user at a time. The surroundings of a level stay 0, since kernels write 0 there.
+    """
+
+    def __init__(self) -> None:
+        self._levels: dict[str, tuple[tuple[int, ...], Level]] = {}
+
+    def level(self, name: str, channels: int, height: int, width: int, *more: int) -> Level:
+        """The level of that name, if its size (and ``more``) is what it was; else a new one.
+
+        A level with more channels than are wanted gives its first.
+        """
+        key = (height, width, *more)
+        known = self._levels.get(name)
+        if known is None or known[0] != key or known[1].channels < channels:
+            self._levels.pop(name, None)  # let go first
+            known = (key, Level.empty(channels, height, width))
+            self._levels[name] = known
+        return Level(known[1].memory[: channels + 1], height, width)
 
 
 def padded(size: int) -> int:
@@ -69,33 +113,43 @@ def padded(size: int) -> int:
     return -(-size // 32) * 32
 
 
-def level_of(channels: int, height: int, width: int) -> Level:
-    """The finest level of a frame of ``height`` x ``width``, its mask set, its pixels 0.
+def level_of(
+    channels: int, height: int, width: int, workspace: Workspace | None = None
+) -> Level:
+    """The finest level of a frame of ``height`` x ``width``, its mask set, 0 around the frame.
 
-    ``channels`` is rounded up to a multiple of 3.
+    ``channels`` is rounded up to a multiple of 3. Its pixels are to be written.
     """
+    space = workspace or Workspace()
     count = -(-channels // 3) * 3
-    level = Level.empty(count, padded(height), padded(width))
-    level.inside[-1, :height, :width] = 1
+    level = space.level("in", count, padded(height), padded(width), height, width)
+    level.mask[:height, :width] = 1
     return level
 
 
-def filter_planes(logits: Sequence[FloatImage], level: Level, device: str = "auto") -> Level:
+def filter_planes(
+    logits: Sequence[FloatImage],
+    level: Level,
+    device: str = "auto",
+    workspace: Workspace | None = None,
+) -> Level:
     """The filtered planes of ``level`` (from `level_of`), its mask carried along.
 
-    ``logits`` must have `LANES` floats of memory behind their end (see `logits_memory`).
+    ``logits`` must have `LANES` floats of memory behind their end (see `logits_memory`). The
+    result lives in the workspace, if one is given, until it is used again.
     """
+    space = workspace or Workspace()
     if not available(device):
-        found = Level.empty(len(level.memory) - 1, level.height, level.width)
-        found.inside[:-1] = reference(logits, level.inside[:-1], level.inside[-1])
-        found.inside[-1] = level.inside[-1]
+        found = Level.empty(level.channels, level.height, level.width)
+        found.planes[...] = reference(logits, level.planes, level.mask)
+        found.mask[...] = level.mask
         return found
     levels = [level]
     for number in range(len(logits) - 1):
-        levels.append(_down(levels[-1], logits[number], packed=number == 0))
+        levels.append(_down(levels[-1], logits[number], space, number))
     out: Level | None = None
     for number in range(len(logits) - 1, -1, -1):
-        out = _gather(levels.pop(), logits[number], out, packed=number == 0)
+        out = _gather(levels.pop(), logits[number], out, space, number)
     assert out is not None
     return out
 
@@ -109,9 +163,10 @@ def logits_memory(shape: tuple[int, ...]) -> FloatImage:
 # -------------------------------------------------------------------- kernels
 
 
-def _down(level: Level, logits: FloatImage, packed: bool) -> Level:
+def _down(level: Level, logits: FloatImage, space: Workspace, number: int) -> Level:
     """The next coarser level, equation (1)."""
-    coarse = Level.empty(len(level.memory) - 1, level.height // 2, level.width // 2)
+    packed, channels = number == 0, level.channels
+    coarse = space.level(f"down{number}", channels, level.height // 2, level.width // 2)
     first = 4 * (OWN + COARSE) if packed else OWN + COARSE
     _down_kernel(packed).rows(
         [
@@ -128,10 +183,13 @@ def _down(level: Level, logits: FloatImage, packed: bool) -> Level:
     return coarse
 
 
-def _gather(level: Level, logits: FloatImage, coarse: Level | None, packed: bool) -> Level:
+def _gather(
+    level: Level, logits: FloatImage, coarse: Level | None, space: Workspace, number: int
+) -> Level:
     """A level filtered, equations (2) and (3)."""
-    out = Level.empty(len(level.memory) - 1, level.height, level.width)
-    out.memory[-1] = level.memory[-1]
+    packed, channels = number == 0, level.channels
+    out = space.level(f"out{number}", channels, level.height, level.width)
+    out.memory[0] = level.memory[0]
     above = coarse if coarse is not None else level
     _gather_kernel(packed, coarse is not None).rows(
         [
@@ -172,7 +230,7 @@ class _Image:
     @classmethod
     def of(cls, code: Code, first: int) -> _Image:
         base, stride, plane = code.address(first), code.param(first + 1), code.param(first + 2)
-        return cls(base, stride, plane, code.integer("mul", plane, code.param(first + 3)))
+        return cls(base, stride, plane, code.integer("sub", 0, plane))
 
 
 @functools.lru_cache(maxsize=2)

@@ -42,14 +42,14 @@ _SCRATCH = 2 * (OWN + COARSE) * 2 * LANES
 
 
 def levels_of(images: FloatImage, masked: bool = True) -> list[Level]:
-    """Pictures ``(B, C, H, W)`` as levels, the last plane 1 inside (or 0)."""
+    """Pictures ``(B, C, H, W)`` as levels; the mask is 1 inside (or 0)."""
     batch, count, height, width = images.shape
     found = []
     for image in images:
         level = Level.empty(count, height, width)
-        level.inside[:-1] = image
+        level.planes[...] = image
         if masked:
-            level.inside[-1] = 1
+            level.mask[...] = 1
         found.append(level)
     return found
 
@@ -60,11 +60,11 @@ def average(
     """The levels filtered with ``logits`` (from `with_room`)."""
     packed = is_packed(logits, own[0])
     kernel = _gather_kernel(packed, coarse is not None)
-    outs = [Level.empty(len(level.memory) - 1, level.height, level.width) for level in own]
+    outs = [Level.empty(level.channels, level.height, level.width) for level in own]
 
     def work(b: int, scratch: FloatImage) -> None:
         level, above, out = own[b], (coarse or own)[b], outs[b]
-        out.memory[-1] = level.memory[-1]
+        out.memory[0] = level.memory[0]
         numbers = [*level.params, *above.params, *out.params, *_of_logits(logits[b]), level.width]
         kernel.call(numbers, 0, level.height, scratch)
 
@@ -85,7 +85,7 @@ def gradients(
     around.
     """
     packed = is_packed(logits, own[0])
-    channels = len(own[0].memory) - 1
+    channels = own[0].channels
     taps = OWN + (COARSE if coarse is not None else 0)
     kept = 0 if needs_own else OWN  # weights that (2) and (3) need, as planes
     to_logits = logits_like(logits)
@@ -98,7 +98,7 @@ def gradients(
 
     def work(b: int, scratch: FloatImage) -> None:
         level, above, g = own[b], (coarse or own)[b], grad[b]
-        planes = Level.empty(max(taps - kept, 1) - 1, height, width)
+        planes = Level.empty(max(taps - kept, 1), height, width)
         logit = _of_logits(logits[b])
         numbers = [*level.params, *above.params, *g.params, *planes.params]
         first.call(
@@ -109,12 +109,12 @@ def gradients(
             _own_kernel(channels).call(
                 [*g.params, *planes.params, *out.params, width], 0, height, scratch
             )
-            to_own[b] = out.inside[:-1]
+            to_own[b] = out.planes
         if to_coarse is not None:
             out = Level.empty(channels, height // 2, width // 2)
             numbers = [*g.params, *planes.params, *out.params, width // 2]
             _coarse_kernel(channels, OWN - kept).call(numbers, 0, height // 2, scratch)
-            to_coarse[b] = out.inside[:-1]
+            to_coarse[b] = out.planes
 
     _each(batch, work)
     return to_logits, to_own, to_coarse

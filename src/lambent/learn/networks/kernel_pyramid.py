@@ -116,7 +116,7 @@ class _Average(torch.autograd.Function):
         numbers = gradient.with_room(logits.detach().numpy())
         found = gradient.average(numbers, own, above)
         ctx.kept = numbers, own, above, logits.shape[3]
-        return torch.from_numpy(np.stack([level.inside[:-1] for level in found]))
+        return torch.from_numpy(np.stack([level.planes for level in found]))
 
     @staticmethod
     def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102

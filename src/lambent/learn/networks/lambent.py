@@ -24,9 +24,9 @@ from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply
 
 #: Widths of the four levels, by size.
 WIDTHS = {
-    "fast": (32, 48, 64, 80),
-    "default": (48, 64, 96, 128),
-    "best": (64, 96, 128, 192),
+    "fast": (48, 64, 96, 128),
+    "default": (64, 96, 128, 192),
+    "best": (96, 128, 192, 256),
 }
 #: The image's sides must be multiples of this.
 MULTIPLE = 32

@@ -1,0 +1,170 @@
+"""Lambent's own denoiser: kernels predicted by a small network, applied to every layer alike.
+
+prepare (`denoise.prepare`) → predict (`denoise.runtime`) → filter (`kernels.pyramid`) → merge. The
+network looks once at colour, guides and variances, whatever of them there is. Its kernels are
+weights of averages, and the same ones filter the beauty, all lighting layers and alpha:
+
+    out = g · d · F(layer / d) + (1 - g) · F(layer)
+
+with F the pyramid of kernels, d the albedo, g a gate; alpha is F(alpha). Each is linear in the
+layer, so layers that sum to the beauty still do, grey stays grey, and coverage stays in [0, 1].
+
+Sizes: ``lambent`` is the default, ``lambent-fast`` half its time, ``lambent-best`` twice.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lambent.denoise import prepare, runtime
+from lambent.denoise.model_file import ModelFile, find_model, read_model
+from lambent.errors import OptionError
+from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.role import Role
+from lambent.kernels.pyramid import COARSE, OWN, filter_planes
+
+#: Layers filtered in one pass: weights are made again for the next so many.
+_AT_ONCE = 4
+#: Channel of the first gate logit.
+_GATE = 4 * (OWN + COARSE + 1)
+#: Pixels that a result may depend on, measured (tests/denoise/test_learned.py).
+_MARGIN = 192
+_BYTES, _BYTES_A_CHANNEL = 560, 16
+
+
+@dataclass(frozen=True)
+class Lambent(Denoiser):
+    """Lambent's own network.
+
+    ``preference``: 0 asks for the least error; towards 1 for keeping what might be detail, and
+    with it some noise. ``weights``: another model file, such as `lambent train` makes.
+    ``precision``: ``"f32"`` computes what is not int8 in float32. ``device``, ``threads``: where
+    it runs.
+    """
+
+    about: ClassVar[About] = About(
+        name="lambent",
+        title="Lambent's own network, kernels on a pyramid",
+        paper="docs/denoiser: after Bako 2017, Vogels 2018, Balint 2023",
+        uses=(
+            "albedo", "normal", "depth", "roughness", "alpha",
+            "colour.variance", "albedo.variance", "normal.variance", "depth.variance",
+        ),
+        cost="a U-Net in int8, once for all layers; 34 taps a pixel on five scales",
+        when="first choice: fast, all layers and alpha at once, layers still sum",
+    )  # fmt: skip
+
+    preference: float = 0.0
+    weights: str | None = None
+    precision: Literal["auto", "f32"] = "auto"
+    device: Device = "auto"
+    threads: int | None = None
+    _whole: prepare.Whole | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.preference <= 1:
+            raise OptionError(
+                f"'preference' of '{self.about.name}' cannot be {self.preference:g}",
+                remedy="0 for the least error, up to 1 for keeping what might be detail",
+            )
+
+    # ------------------------------------------------------------- denoising
+
+    def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
+        """Filter a stack of channels; each group of three is divided by the albedo's channels."""
+        count = targets.shape[2]
+        edges = [*range(0, count - count % 3, 3), *range(count - count % 3, count + 1)]
+        pieces = [targets[:, :, a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return np.concatenate(self._filter(frame, pieces, [True] * len(pieces)), axis=2)
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """Every layer with the same kernels; alpha without the albedo."""
+        images = [layer.data for layer in layers]
+        return self._filter(frame, images, [layer.role is not Role.ALPHA for layer in layers])
+
+    def margin(self) -> int:
+        """192: the reach of the network and of its coarsest kernels."""
+        return _MARGIN
+
+    def fitted(self, frame: Frame) -> Lambent:
+        """A copy with the exposure and the depth of the whole frame."""
+        return dataclasses.replace(self, _whole=prepare.Whole.of(frame))
+
+    def bytes_per_pixel(self, channels: int) -> int:
+        """Inputs, activations, logits, and the planes of up to four layers (measured)."""
+        return _BYTES + _BYTES_A_CHANNEL * min(2 * channels, 6 * _AT_ONCE) + 4 * channels
+
+    def model(self) -> ModelFile:
+        """The model file. Raises `FileError` and `DamagedFileError`."""
+        return _model(self.weights or self.about.name)
+
+    # --------------------------------------------------------------- private
+
+    def _filter(
+        self, frame: Frame, images: Sequence[FloatImage], divided: Sequence[bool]
+    ) -> list[FloatImage]:
+        whole = self._whole or prepare.Whole.of(frame)
+        given = prepare.Given.of(frame)
+        results: list[FloatImage] = []
+        with runtime.network(self.model(), self.precision, self.threads) as network:
+            space = network.workspace
+            memory = network.input(prepare.packed_shape(given))
+            logits = network(
+                prepare.packed_inputs(given, whole, self.preference, self.device, memory)
+            )
+            for first in range(0, len(images), _AT_ONCE):
+                some = list(images[first : first + _AT_ONCE])
+                by = list(divided[first : first + _AT_ONCE])
+                level = prepare.split(given, some, by, self.device, space)
+                level = filter_planes(logits, level, self.device, space)
+                channels = [image.shape[2] for image in some]
+                gate = logits[0][_GATE:]
+                results += prepare.merged(given, level, gate, channels, by, self.device)
+        return results
+
+
+@dataclass(frozen=True)
+class LambentFast(Lambent):
+    """Lambent's small network."""
+
+    about: ClassVar[About] = dataclasses.replace(
+        Lambent.about,
+        name="lambent-fast",
+        title="Lambent's own network, small",
+        when="previews, and frames by the thousand",
+    )
+
+
+@dataclass(frozen=True)
+class LambentBest(Lambent):
+    """Lambent's large network."""
+
+    about: ClassVar[About] = dataclasses.replace(
+        Lambent.about,
+        name="lambent-best",
+        title="Lambent's own network, large",
+        when="finished pictures",
+    )
+
+
+_models: dict[str, ModelFile] = {}
+
+
+def _model(name: str) -> ModelFile:
+    path = find_model(name)
+    key = f"{path}:{path.stat().st_mtime_ns if path.exists() else 0}"
+    if key not in _models:
+        _models[key] = read_model(path)
+    return _models[key]
+
+
+def card(name: str) -> dict[str, Any]:
+    """The card of a model by name or path."""
+    return dict(_model(name).card)

@@ -1,0 +1,138 @@
+"""A learned model as one file: its network, what it reads, and its card. Nothing in it is code.
+
+The file is a ZIP archive (``.lambent``)::
+
+    card.json      what the model is: name, size, the version of its inputs (`inputs.VERSION`),
+                   how it was trained on what, its scores, and the SHA-256 of the other members
+    network.xml    the network as OpenVINO reads it, int8
+    network.bin    its weights
+
+`read_model` checks everything before anything is used. The weights of the float network, which
+fine-tuning begins with, are read back from the same numbers (`learn.export`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from lambent.denoise.inputs import VERSION
+from lambent.errors import DamagedFileError, FileError, UnknownNameError
+from lambent.frame.atomic import atomic
+
+SUFFIX = ".lambent"
+#: The version of the file itself.
+FORMAT = 1
+CARD, NETWORK, WEIGHTS = "card.json", "network.xml", "network.bin"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFile:
+    """The content of a model file. ``card``: see the module; ``path``: where it came from."""
+
+    card: Mapping[str, Any]
+    network: bytes
+    weights: bytes
+    path: Path
+
+
+def read_model(path: str | os.PathLike[str]) -> ModelFile:
+    """A model from a file.
+
+    Raises `FileError`: missing, no model, made for another version of Lambent; `DamagedFileError`:
+    cut off, or not what its checksums say.
+    """
+    path = Path(path)
+    remedy = "name a model that lambent train has made, or install Lambent again"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = set(archive.namelist())
+            if not {CARD, NETWORK, WEIGHTS} <= names:
+                raise FileError("is no model of Lambent", file=path, remedy=remedy)
+            card = json.loads(archive.read(CARD))
+            network, weights = archive.read(NETWORK), archive.read(WEIGHTS)
+    except FileNotFoundError:
+        raise FileError("there is no such model", file=path, remedy=remedy) from None
+    except (zipfile.BadZipFile, EOFError, ValueError) as error:
+        if zipfile.is_zipfile(path) or _begins_as_zip(path):
+            raise DamagedFileError(f"is damaged: {error}", file=path, remedy=remedy) from None
+        raise FileError("is no model of Lambent", file=path, remedy=remedy) from None
+    except OSError as error:
+        raise FileError(f"cannot be read: {error}", file=path, remedy=remedy) from None
+    if not isinstance(card, dict) or "sha256" not in card:
+        raise FileError("is no model of Lambent", file=path, remedy=remedy)
+    if card.get("format") != FORMAT or card.get("inputs") != VERSION:
+        raise FileError(
+            f"was made for another version of Lambent (format {card.get('format')}, inputs "
+            f"{card.get('inputs')}; here {FORMAT} and {VERSION})",
+            file=path,
+            remedy="train or export it again with this version",
+        )
+    for name, data in ((NETWORK, network), (WEIGHTS, weights)):
+        if hashlib.sha256(data).hexdigest() != card["sha256"].get(name):
+            raise DamagedFileError(
+                f"is damaged: {name} is not what its checksum says", file=path, remedy=remedy
+            )
+    return ModelFile(card, network, weights, path)
+
+
+def write_model(
+    path: str | os.PathLike[str],
+    card: Mapping[str, Any],
+    network: bytes,
+    weights: bytes,
+    overwrite: bool = False,
+) -> None:
+    """A model to a file, in one step. Raises `OutputError`."""
+    sums = {
+        name: hashlib.sha256(data).hexdigest()
+        for name, data in ((NETWORK, network), (WEIGHTS, weights))
+    }
+    full = {**card, "format": FORMAT, "inputs": VERSION, "sha256": sums}
+    with (
+        atomic(path, overwrite) as handle,
+        zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive,
+    ):
+        for name, data in (
+            (CARD, json.dumps(full, indent=1).encode()),
+            (NETWORK, network),
+            (WEIGHTS, weights),
+        ):
+            # a fixed date, so that the same model is the same file
+            info = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(info, data)
+
+
+def shipped() -> dict[str, Path]:
+    """The models that come with Lambent, by name."""
+    folder = Path(str(resources.files("lambent") / "models"))
+    return {path.stem: path for path in sorted(folder.glob(f"*{SUFFIX}"))}
+
+
+def find_model(name: str) -> Path:
+    """The file of a shipped model by name, or ``name`` itself if it is a path.
+
+    Raises `UnknownNameError`.
+    """
+    known = shipped()
+    if name in known:
+        return known[name]
+    if name.endswith(SUFFIX) or os.sep in name:
+        return Path(name)
+    raise UnknownNameError("network", name, list(known))
+
+
+def _begins_as_zip(path: Path) -> bool:
+    try:
+        with path.open("rb") as handle:
+            return handle.read(4) == b"PK\x03\x04"
+    except OSError:
+        return False

@@ -1,0 +1,316 @@
+"""A frame as the network's input, and planes for its filter, each in one pass over the pixels.
+
+`packed_inputs` computes what `inputs.signals_of`, `inputs.encode` and `inputs.pack` say, in one
+Dr.Jit kernel: a thread takes four pixels, reads every layer once and writes every channel. The
+frame is continued to multiples of 32 by its last row and column. `split` and `merged` are the two
+ends of the filter: colour and colour/albedo as planes, and both put together by the gate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lambent.denoise.inputs import (
+    CHANNELS,
+    CONSTANTS,
+    DEPTH_RANGE,
+    LAYERS,
+    OFFSET,
+    PLANES,
+    RANGE,
+    SLOPE,
+    Signals,
+    albedo_of,
+    constants,
+    typical_depth,
+)
+from lambent.filters.features import variance_of
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.misses import FAR
+from lambent.frame.role import INFO, Role
+from lambent.kernels.arrays import aligned, backend
+from lambent.kernels.oidn import exposure
+from lambent.kernels.pyramid import Level, Workspace, level_of, padded
+
+
+@dataclass(frozen=True)
+class Whole:
+    """Numbers of the whole frame that its tiles need: exposure, and the median depth."""
+
+    exposure: float
+    depth: float
+
+    @classmethod
+    def of(cls, frame: Frame) -> Whole:
+        """Measured on a frame."""
+        return cls(exposure(frame.colour), typical_depth(frame))
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """The layers of a frame that the network reads, as flat arrays, ``(H·W·C,)``."""
+
+    height: int
+    width: int
+    arrays: dict[str, tuple[FloatImage, int]]
+    spp: float | None
+
+    @classmethod
+    def of(cls, frame: Frame) -> Given:
+        """Those that the frame has."""
+        found: dict[str, FloatImage | None] = {
+            "colour": frame.colour,
+            "albedo": albedo_of(frame),
+            "normal": frame.get(Role.NORMAL),
+            "depth": frame.get(Role.DEPTH),
+            "roughness": frame.get(Role.ROUGHNESS),
+        }
+        for name, role in (
+            ("colour", Role.COLOUR),
+            ("albedo", Role.ALBEDO),
+            ("normal", Role.NORMAL),
+            ("depth", Role.DEPTH),
+        ):
+            if found[name] is not None:
+                found[f"{name}_std"] = variance_of(frame, role)
+        arrays = {
+            name: (np.ascontiguousarray(image, np.float32).reshape(-1), image.shape[2])
+            for name, image in found.items()
+            if image is not None
+        }
+        return cls(frame.height, frame.width, arrays, float(frame.spp) if frame.spp else None)
+
+    def has(self, name: str) -> bool:
+        """Whether there is that layer."""
+        return name in self.arrays
+
+    def masks(self) -> Signals:
+        """Signals without pixels: what `inputs.constants` looks at."""
+        there = {name: None for name in LAYERS if name in self.arrays}
+        return Signals(None, there, self.spp)
+
+
+def packed_shape(given: Given) -> tuple[int, int, int, int]:
+    """``(1, CHANNELS, H/2, W/2)``, H and W padded to multiples of 32."""
+    return (1, CHANNELS, padded(given.height) // 2, padded(given.width) // 2)
+
+
+def packed_inputs(
+    given: Given, whole: Whole, preference: float, device: str, out: FloatImage | None = None
+) -> FloatImage:
+    """The network's input, of `packed_shape`; written into ``out`` where that is given."""
+    module = backend(device)
+    import drjit as dr  # after `backend`, which says where LLVM is
+
+    height, width = padded(given.height) // 2, padded(given.width) // 2
+    count = height * width
+    shape = packed_shape(given)
+    memory = out if out is not None else aligned(shape)
+    flat = memory.reshape(-1)
+    target = module.Float(flat)
+    index = dr.arange(module.UInt32, count)
+    columns = dr.opaque(module.UInt32, width)
+    row, column = index // columns, index % columns
+    scale = dr.opaque(module.Float, whole.exposure)
+    depth_scale = dr.opaque(module.Float, 1 / whole.depth)
+    arrays = {name: (module.Float(array), n) for name, (array, n) in given.arrays.items()}
+    last_row = dr.opaque(module.UInt32, given.height - 1)
+    last_column = dr.opaque(module.UInt32, given.width - 1)
+    stride = dr.opaque(module.UInt32, given.width)
+    size = dr.opaque(module.UInt32, count)
+    for number in range(4):
+        y, x = divmod(number, 2)
+        pixel = dr.minimum(2 * row + y, last_row) * stride + dr.minimum(2 * column + x, last_column)
+
+        def read(name: str, at: Any = pixel) -> list[Any]:
+            array, channels = arrays[name]
+            values = [
+                dr.gather(module.Float, array, at * channels + c) for c in range(channels)
+            ]
+            return [dr.select(dr.isfinite(v), v, 0) for v in values]
+
+        planes = _planes(dr, module, given, read, scale, depth_scale)
+        for k, value in enumerate(planes):
+            dr.scatter(target, value, index + size * (4 * k + number))
+    dr.eval(target)
+    dr.sync_thread()
+    result = target.numpy().reshape(shape)
+    result[0, 4 * PLANES :] = constants(given.masks(), preference)[:, None, None]
+    assert result.shape[1] == 4 * PLANES + CONSTANTS
+    return result
+
+
+def _planes(
+    dr: Any, module: Any, given: Given, read: Any, scale: Any, depth_scale: Any
+) -> list[Any]:
+    """The planes of `inputs.encode` at one pixel."""
+
+    def curve(v: Any) -> Any:
+        return dr.log(1 + SLOPE * dr.maximum(v, 0)) * (1 / RANGE)
+
+    def spread(values: list[Any]) -> Any:
+        return dr.sqrt(sum(values[1:], values[0]) / len(values))
+
+    zero = module.Float(0)
+    albedo = None
+    d = [module.Float(1)] * 3
+    if given.has("albedo"):
+        albedo = [dr.clip(v, 0, 2) for v in read("albedo")]
+        d = [a + OFFSET for a in albedo]
+    found = [curve(c * scale / v) for c, v in zip(read("colour"), d, strict=True)]
+    found += albedo or [zero] * 3
+    found += [dr.clip(v, -1, 1) for v in read("normal")[:3]] if given.has("normal") else [zero] * 3
+    z = None
+    if given.has("depth"):
+        z, miss = _depth(dr, read("depth")[0])
+        relative = dr.clip(dr.log(z * depth_scale) * (1 / DEPTH_RANGE), -1, 1)
+        found.append(dr.select(miss, 1, relative))
+    else:
+        found.append(zero)
+    found.append(dr.clip(read("roughness")[0], -1, 1) if given.has("roughness") else zero)
+    if given.has("colour_std"):
+        found.append(curve(spread(read("colour_std")) * scale / ((d[0] + d[1] + d[2]) / 3)))
+    else:
+        found.append(zero)
+    for name in ("albedo_std", "normal_std"):
+        found.append(
+            dr.sqrt(dr.clip(spread(read(name)), 0, 1)) if given.has(name) else zero
+        )
+    if given.has("depth_std") and z is not None:
+        found.append(dr.sqrt(dr.clip(dr.sqrt(read("depth_std")[0]) / z, 0, 1)))
+    else:
+        found.append(zero)
+    found += [zero] * 3  # history
+    return found
+
+
+def _depth(dr: Any, value: Any) -> tuple[Any, Any]:
+    """The distance (1 for a miss), and whether it is a miss: `frame.misses.missing_depth`."""
+    z = dr.abs(value)
+    miss = (z == 0) | (z >= FAR)
+    for one in INFO[Role.DEPTH].misses:
+        if one < FAR:
+            miss |= z == one
+    return dr.select(miss, 1, z), miss
+
+
+# --------------------------------------------------------------- the filter's ends
+
+
+def split(
+    given: Given,
+    images: Sequence[FloatImage],
+    divided: Sequence[bool],
+    device: str,
+    workspace: Workspace | None = None,
+) -> Level:
+    """Images ``(H, W, 1 or 3)`` as planes for the filter.
+
+    Where ``divided``, an image gives its planes divided by the albedo, then its own; else only its
+    own. Without an albedo nothing is divided.
+    """
+    module = backend(device)
+    import drjit as dr  # after `backend`, which says where LLVM is
+
+    height, width = given.height, given.width
+    has_albedo = given.has("albedo")
+    counts = [
+        i.shape[2] * (2 if d and has_albedo else 1) for i, d in zip(images, divided, strict=True)
+    ]
+    level = level_of(sum(counts), height, width, workspace)
+    _, rows, stride = level.memory.shape
+    target = module.Float(level.memory.reshape(-1))
+    index = dr.arange(module.UInt32, height * width)
+    columns = dr.opaque(module.UInt32, width)
+    place = (index // columns) * dr.opaque(module.UInt32, stride) + index % columns
+    place += dr.opaque(module.UInt32, level.start)
+    step = dr.opaque(module.UInt32, rows * stride)
+    d = _divisors(dr, module, given, index) if has_albedo else None
+    plane = 0
+    for image, wanted in zip(images, divided, strict=True):
+        channels = image.shape[2]
+        flat = module.Float(np.ascontiguousarray(image, np.float32).reshape(-1))
+        values = [dr.gather(module.Float, flat, index * channels + c) for c in range(channels)]
+        if wanted and d is not None:
+            for c, value in enumerate(values):
+                own = d[c] if channels == 3 else (d[0] + d[1] + d[2]) / 3
+                dr.scatter(target, value / own, place + step * plane)
+                plane += 1
+        for value in values:
+            dr.scatter(target, value, place + step * plane)
+            plane += 1
+    dr.eval(target)
+    dr.sync_thread()
+    if target.numpy().ctypes.data != level.memory.ctypes.data:  # a device with its own memory
+        level.memory[...] = target.numpy().reshape(level.memory.shape)
+    return level
+
+
+def merged(
+    given: Given,
+    level: Level,
+    gate: FloatImage,
+    channels: Sequence[int],
+    divided: Sequence[bool],
+    device: str,
+) -> list[FloatImage]:
+    """The images out of the filtered planes: g · d · F(c / d) + (1 - g) · F(c).
+
+    ``gate``: the gate's logits ``(4, H/2, W/2)``, packed; ``channels`` of each image.
+    """
+    module = backend(device)
+    import drjit as dr  # after `backend`, which says where LLVM is
+
+    height, width = given.height, given.width
+    _, rows, stride = level.memory.shape
+    source = module.Float(level.memory.reshape(-1))
+    index = dr.arange(module.UInt32, height * width)
+    columns = dr.opaque(module.UInt32, width)
+    row, column = index // columns, index % columns
+    place = row * dr.opaque(module.UInt32, stride) + column + dr.opaque(module.UInt32, level.start)
+    step = dr.opaque(module.UInt32, rows * stride)
+    d, g = None, None
+    if given.has("albedo") and any(divided):
+        d = _divisors(dr, module, given, index)
+        cells = dr.opaque(module.UInt32, gate.shape[1] * gate.shape[2])
+        at = ((row & 1) * 2 + (column & 1)) * cells
+        at += (row >> 1) * dr.opaque(module.UInt32, gate.shape[2]) + (column >> 1)
+        logit = dr.gather(module.Float, module.Float(gate.reshape(-1)), at)
+        g = 1 / (1 + dr.exp(-logit))
+    plane = 0
+    results, outs = [], []
+    for count, wanted in zip(channels, divided, strict=True):
+        memory = aligned((height * width * count,))
+        out = module.Float(memory)
+        values = [
+            dr.gather(module.Float, source, place + step * (plane + c))
+            for c in range(count * (2 if wanted and d is not None else 1))
+        ]
+        plane += len(values)
+        if wanted and d is not None and g is not None:
+            for c in range(count):
+                own = d[c] if count == 3 else (d[0] + d[1] + d[2]) / 3
+                value = dr.fma(g, own * values[c] - values[count + c], values[count + c])
+                dr.scatter(out, value, index * count + c)
+        else:
+            for c in range(count):
+                dr.scatter(out, values[c], index * count + c)
+        outs.append((out, count))
+    dr.eval(*(out for out, _ in outs))
+    dr.sync_thread()
+    for out, count in outs:
+        results.append(out.numpy().reshape(height, width, count))
+    return results
+
+
+def _divisors(dr: Any, module: Any, given: Given, index: Any) -> list[Any]:
+    """d in three channels."""
+    array, channels = given.arrays["albedo"]
+    flat = module.Float(array)
+    values = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
+    return [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in values]
