@@ -28,6 +28,7 @@ COMMANDS = {
     "compare": "Measure images against a reference, as a table or a page.",
     "dataset": "Make training data, look at it, verify it.",
     "explain": "Show the weights with which a filter averages around one pixel.",
+    "train": "Train a denoiser, or fine-tune one to your own renders.",
     "render": "Render a Mitsuba scene or a .blend, with every feature.",
     "models": "List the denoisers: what they need, cost, and which paper they are from.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",

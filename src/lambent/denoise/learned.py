@@ -15,6 +15,7 @@ Sizes: ``lambent`` is the default, ``lambent-fast`` half its time, ``lambent-bes
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -81,7 +82,7 @@ class Lambent(Denoiser):
         """Filter a stack of channels; each group of three is divided by the albedo's channels."""
         count = targets.shape[2]
         edges = [*range(0, count - count % 3, 3), *range(count - count % 3, count + 1)]
-        pieces = [targets[:, :, a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        pieces = [targets[:, :, a:b] for a, b in itertools.pairwise(edges)]
         return np.concatenate(self._filter(frame, pieces, [True] * len(pieces)), axis=2)
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:

@@ -129,9 +129,7 @@ def packed_inputs(
 
         def read(name: str, at: Any = pixel) -> list[Any]:
             array, channels = arrays[name]
-            values = [
-                dr.gather(module.Float, array, at * channels + c) for c in range(channels)
-            ]
+            values = [dr.gather(module.Float, array, at * channels + c) for c in range(channels)]
             return [dr.select(dr.isfinite(v), v, 0) for v in values]
 
         planes = _planes(dr, module, given, read, scale, depth_scale)
@@ -178,9 +176,7 @@ def _planes(
     else:
         found.append(zero)
     for name in ("albedo_std", "normal_std"):
-        found.append(
-            dr.sqrt(dr.clip(spread(read(name)), 0, 1)) if given.has(name) else zero
-        )
+        found.append(dr.sqrt(dr.clip(spread(read(name)), 0, 1)) if given.has(name) else zero)
     if given.has("depth_std") and z is not None:
         found.append(dr.sqrt(dr.clip(dr.sqrt(read("depth_std")[0]) / z, 0, 1)))
     else:

@@ -58,12 +58,14 @@ class Level:
     @property
     def planes(self) -> FloatImage:
         """``(C, height, width)``, a view."""
-        return self.memory[(slice(1, None), *self._inside)]
+        rows, columns = self._inside
+        return self.memory[1:, rows, columns]
 
     @property
     def mask(self) -> FloatImage:
         """``(height, width)``, a view."""
-        return self.memory[(0, *self._inside)]
+        rows, columns = self._inside
+        return self.memory[0, rows, columns]
 
     @property
     def start(self) -> int:
@@ -113,9 +115,7 @@ def padded(size: int) -> int:
     return -(-size // 32) * 32
 
 
-def level_of(
-    channels: int, height: int, width: int, workspace: Workspace | None = None
-) -> Level:
+def level_of(channels: int, height: int, width: int, workspace: Workspace | None = None) -> Level:
     """The finest level of a frame of ``height`` x ``width``, its mask set, 0 around the frame.
 
     ``channels`` is rounded up to a multiple of 3. Its pixels are to be written.
@@ -265,7 +265,9 @@ def _down_kernel(packed: bool) -> Kernel:
                 for value in logits[1:]:
                     highest = code.greater(highest, value)
                 e = [code.exp(code.op("fsub", value, highest)) for value in logits]
-                masks = [m for y in (0, 1) for m in split(fine.base, _sum(code, fine.mask, rows[y], x2))]
+                masks = [
+                    m for y in (0, 1) for m in split(fine.base, _sum(code, fine.mask, rows[y], x2))
+                ]
                 e = [code.op("fmul", a, m) for a, m in zip(e, masks, strict=True)]
                 total = code.number(TINY)
                 for value in e:

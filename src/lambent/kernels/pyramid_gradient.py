@@ -43,7 +43,7 @@ _SCRATCH = 2 * (OWN + COARSE) * 2 * LANES
 
 def levels_of(images: FloatImage, masked: bool = True) -> list[Level]:
     """Pictures ``(B, C, H, W)`` as levels; the mask is 1 inside (or 0)."""
-    batch, count, height, width = images.shape
+    count, height, width = images.shape[1:]
     found = []
     for image in images:
         level = Level.empty(count, height, width)
@@ -101,9 +101,7 @@ def gradients(
         planes = Level.empty(max(taps - kept, 1), height, width)
         logit = _of_logits(logits[b])
         numbers = [*level.params, *above.params, *g.params, *planes.params]
-        first.call(
-            [*numbers, *logit, _of_logits(to_logits[b])[0], width], 0, height, scratch
-        )
+        first.call([*numbers, *logit, _of_logits(to_logits[b])[0], width], 0, height, scratch)
         if to_own is not None:
             out = Level.empty(channels, height, width)
             _own_kernel(channels).call(
@@ -250,9 +248,7 @@ def _weights_kernel(packed: bool, with_coarse: bool, channels: int, kept: int) -
                 g = [
                     [
                         code.load(
-                            code.at(
-                                grad.base, code.integer("mul", grad.plane, c), g_at, LANES * p
-                            )
+                            code.at(grad.base, code.integer("mul", grad.plane, c), g_at, LANES * p)
                         )
                         for p in range(parts)
                     ]
@@ -322,9 +318,7 @@ def _own_kernel(channels: int) -> Kernel:
                     sums[c] = code.fma(weight, g, sums[c])
             to = code.integer("add", code.integer("mul", row.i, out.stride), x.i)
             for c in range(channels):
-                code.store(
-                    sums[c], code.at(out.base, to, code.integer("mul", out.plane, c))
-                )
+                code.store(sums[c], code.at(out.base, to, code.integer("mul", out.plane, c)))
 
     return Kernel(f"pyramid_own_{channels}", write)
 

@@ -49,13 +49,17 @@ def merged(levels: list[Signals]) -> Signals:
     layers = {}
     for name in names:
         if not name.endswith("_std"):
-            layers[name] = _sum(level.layers[name] * s for level, s in zip(levels, shares))
+            layers[name] = _sum(
+                level.layers[name] * s for level, s in zip(levels, shares, strict=True)
+            )
     for name in {n for level in levels for n in level.layers if n.endswith("_std")}:
         # the variance of one sample, from the levels that tell it
-        told = [(n, lv.layers[name]) for n, lv in zip(spp, levels) if name in lv.layers]
+        told = [
+            (n, lv.layers[name]) for n, lv in zip(spp, levels, strict=True) if name in lv.layers
+        ]
         one = _sum(std * std * (n * n) for n, std in told) / sum(n for n, _ in told)
         layers[name] = np.sqrt(one / np.float32(sum(spp)))
-    colour = _sum(level.colour * s for level, s in zip(levels, shares))
+    colour = _sum(level.colour * s for level, s in zip(levels, shares, strict=True))
     return Signals(colour, layers, sum(spp))
 
 
@@ -147,7 +151,7 @@ def filtered(example: Example, rng: np.random.Generator) -> Example:
     )
 
 
-def _sum(images):  # type: ignore[no-untyped-def] # noqa: ANN001
+def _sum(images):  # type: ignore[no-untyped-def]
     total = None
     for image in images:
         total = image if total is None else total + image

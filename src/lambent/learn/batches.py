@@ -6,10 +6,11 @@ share a batch see together what one would have seen.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import queue
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -43,6 +44,7 @@ class Row:
     deviation: FloatImage
     preference: float
     spp: float
+    noisy_target: bool = False
 
 
 class Sampler:
@@ -86,11 +88,6 @@ def row(sampler: Sampler, seed: int, step: int, number: int) -> Row:
     return ready(example, preference, spp)
 
 
-def plain_row(example: Example, spp: float, preference: float = 0.0) -> Row:
-    """An example as it is, for validation."""
-    return ready(example, preference, spp)
-
-
 def ready(example: Example, preference: float, spp: float) -> Row:
     """An example as arrays for the network."""
     noisy = example.noisy
@@ -111,17 +108,21 @@ def ready(example: Example, preference: float, spp: float) -> Row:
 def batches(
     sampler: Sampler, seed: int, first: int, size: int, rank: int = 0, world: int = 1
 ) -> Iterator[list[Row]]:
-    """The batches of step ``first`` and on; of each, the rows of process ``rank`` of ``world``.
+    """The batches of step ``first`` and on; of each, the rows of process ``rank`` of ``world``."""
+    return ahead(lambda step, number: row(sampler, seed, step, number), first, size, rank, world)
 
-    Made ahead by a thread, so that the network does not wait.
-    """
-    ahead: queue.Queue[list[Row] | BaseException] = queue.Queue(3)
+
+def ahead(
+    make: Callable[[int, int], Row], first: int, size: int, rank: int = 0, world: int = 1
+) -> Iterator[list[Row]]:
+    """Batches of the rows ``make(step, number)``, made ahead so that the network does not wait."""
+    waiting: queue.Queue[list[Row] | BaseException] = queue.Queue(3)
     over = threading.Event()
 
     def put(thing: list[Row] | BaseException) -> None:
         while not over.is_set():
             try:
-                return ahead.put(thing, timeout=0.2)
+                return waiting.put(thing, timeout=0.2)
             except queue.Full:
                 continue
 
@@ -132,7 +133,7 @@ def batches(
                     if over.is_set():
                         return
                     numbers = range(rank, size, world)
-                    put(list(pool.map(lambda n, s=step: row(sampler, seed, s, n), numbers)))
+                    put(list(pool.map(functools.partial(make, step), numbers)))
         except BaseException as error:  # told to the one who waits
             put(error)
 
@@ -140,7 +141,7 @@ def batches(
     thread.start()
     try:
         while True:
-            found = ahead.get()
+            found = waiting.get()
             if isinstance(found, BaseException):
                 raise found
             yield found

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from lambent.dataset.reader import open_dataset
 from lambent.denoise.inputs import MASKS, Signals
 from lambent.errors import OptionError
 from lambent.filters.denoiser import create
@@ -19,7 +20,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.learn import losses
 from lambent.learn.augment import Example
-from lambent.learn.batches import Row, Sampler, batches, ready
+from lambent.learn.batches import Row, Sampler, batches, ready, row
 from lambent.learn.cache import Cached, cached
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
@@ -29,6 +30,8 @@ from lambent.learn.task import Pictures
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
 #: Share of the pixels, those with the largest error, that the trimmed error leaves out.
 TRIMMED = 1e-3
+#: Rows that int8 is calibrated with.
+CALIBRATION = 128
 
 
 @dataclass
@@ -101,6 +104,27 @@ class DenoisingTask:
             outputs = model(b.packed)
         x = denoised(outputs, b.colour, b.divisor)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
+
+    def calibration(self) -> list[FloatImage]:
+        """Packed inputs to measure the ranges of activations on: training rows as they come."""
+        return [row(self.train, self.recipe.seed + 1, 0, n).packed for n in range(CALIBRATION)]
+
+    def about_data(self) -> list[dict[str, Any]]:
+        """For the card: what each data set is, how much of it, made of what."""
+        found = []
+        for folder in self.recipe.data:
+            data = open_dataset(folder)
+            found.append(
+                {
+                    "name": data.recipe.name,
+                    "crops": len(data.crops),
+                    "clips": len(data.clips),
+                    "scenes": len({data.line(i).get("seed") for i in range(len(data))}),
+                    "licences": data.manifest.get("licences", {}),
+                    "essence": data.recipe.essence,
+                }
+            )
+        return found
 
     # ------------------------------------------------------------- validation
 

@@ -1,12 +1,13 @@
 """A trained network as a model file: quantised to int8 and checked against PyTorch.
 
-`quantised` inserts what NNCF measures on held-out crops (post-training quantisation: symmetric
-weights a channel, activations a tensor); `export` writes the file. What int8 costs is measured on
-the same crops and put into the card.
+`export` inserts what NNCF measures on training crops (post-training quantisation: symmetric
+weights a channel, activations a tensor) and writes the file; `float_weights` reads it back, so that
+fine-tuning can begin with a shipped model.
 """
 
 from __future__ import annotations
 
+import json
 import logging
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -18,8 +19,10 @@ import torch
 from torch import nn
 
 from lambent.denoise.inputs import CHANNELS
-from lambent.denoise.model_file import write_model
+from lambent.denoise.model_file import find_model, read_model, write_model
+from lambent.errors import LambentError
 from lambent.frame.layer import FloatImage
+from lambent.learn.loop import Run
 
 
 def export(
@@ -57,9 +60,71 @@ def export(
     write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
 
 
-def agreement(a: Iterable[np.ndarray], b: Iterable[np.ndarray]) -> float:
-    """The largest difference of two sets of outputs, relative to the largest value of each."""
-    return max(
-        float(np.abs(x - y).max() / max(float(np.abs(y).max()), 1e-12))
-        for x, y in zip(a, b, strict=True)
-    )
+def export_run(run: Run, task: Any, path: Path, overwrite: bool = False) -> dict[str, Any]:
+    """The best weights of a run as a model file, int8; its card.
+
+    What int8 costs is measured with the task's own score, in the engine that will run it.
+    """
+    model = task.network()
+    model.load_state_dict(run.weights())
+    about = json.loads((run.folder / "run.json").read_text(encoding="utf-8"))
+    best = min((ln for ln in run.lines() if "check" in ln), key=lambda ln: ln["check"]["score"])
+    card = {
+        "name": run.recipe()["name"],
+        "recipe": run.recipe(),
+        "step": best["step"],
+        "hours": round(about["seconds"] / 3600, 2),
+        "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},
+        "score": best["check"],
+        "curve": [[ln["step"], ln["check"]["score"]] for ln in run.lines() if "check" in ln],
+        "data": task.about_data(),
+    }
+    export(model, path, card, task.calibration(), overwrite)
+    return card
+
+
+def float_weights(model: str) -> dict[str, torch.Tensor]:
+    """The weights of a model file as float tensors, by the names of `networks.lambent`.
+
+    Each is its int8 number times its channel's scale: what the int8 network computes with.
+    Raises `FileError`.
+    """
+    import openvino as ov
+
+    file = read_model(find_model(model))
+    graph = ov.Core().read_model(file.network, file.weights)
+    found: dict[str, torch.Tensor] = {}
+    for op in graph.get_ordered_ops():
+        if op.get_type_name() != "Convolution":
+            continue
+        name = op.get_friendly_name().removeprefix("__module.").split("/")[0]
+        found[f"{name}.weight"] = torch.from_numpy(_value(op.input_value(1).get_node()).copy())
+        for target in op.output(0).get_target_inputs():
+            after = target.get_node()
+            if after.get_type_name() == "Add":
+                bias = next(
+                    v.get_node() for v in after.input_values() if v.get_node() is not op
+                    and v.get_node().get_friendly_name() != op.get_friendly_name()
+                )  # fmt: skip
+                found[f"{name}.bias"] = torch.from_numpy(_value(bias).reshape(-1).copy())
+    return found
+
+
+# ------------------------------------------------------------------- private
+
+
+def _value(node: Any) -> FloatImage:
+    """A constant and the arithmetic around it, computed."""
+    kind = node.get_type_name()
+    values = [v.get_node() for v in node.input_values()]
+    if kind == "Constant":
+        return np.asarray(node.data, np.float32)
+    if kind == "Convert":
+        return _value(values[0])
+    if kind == "Multiply":
+        return np.asarray(_value(values[0]) * _value(values[1]))
+    if kind == "Subtract":
+        return np.asarray(_value(values[0]) - _value(values[1]))
+    if kind == "Reshape":
+        return _value(values[0])
+    raise LambentError(f"a weight is made by {kind}, which is not known here")

@@ -118,13 +118,17 @@ def train(
     device: str = "auto",
     start: Mapping[str, torch.Tensor] | None = None,
     steps: int | None = None,
+    seconds: float | None = None,
+    check_first: bool = False,
     progress: Progress | None = None,
     after_check: Callable[[Run], None] | None = None,
 ) -> Run:
     """Train, or go on training, in ``folder``.
 
     ``start``: weights to begin with (fine-tuning). ``steps``: stop after so many in all, though
-    the schedule is the recipe's. ``after_check`` is called after each validation.
+    the schedule is the recipe's. ``seconds``: stop after so long; the schedule then follows the
+    clock. ``check_first``: validate before the first step too. ``after_check`` is called after each
+    validation.
     Raises `OptionError` for a folder that holds a run with another recipe.
     """
     here = _process(device)
@@ -167,11 +171,19 @@ def train(
                 torch.save(state, handle)
         saved = time.monotonic()
 
+    if check_first and step == 0 and log is not None:
+        best = _check(run, task, mean, here.device, step, best, log)
     batches = task.batches(step, here.rank, here.world)
     try:
         while step < last:
+            share = None if seconds is None else (time.monotonic() - began) / seconds
+            if share is not None and share >= 1:
+                last = step
+                if log is not None:
+                    best = _check(run, task, mean, here.device, step, best, log)
+                break
             for group in adam.param_groups:
-                group["lr"] = recipe.rate * schedule(recipe, step)
+                group["lr"] = recipe.rate * schedule(recipe, step, share)
             loss, terms = task.loss(parallel, next(batches), here.device)
             adam.zero_grad(set_to_none=True)
             loss.backward()
@@ -208,12 +220,24 @@ def train(
     return run
 
 
-def schedule(recipe: TrainRecipe, step: int) -> float:
-    """The learning rate as a share of the highest: a ramp, then half a cosine."""
+def schedule(recipe: TrainRecipe, step: int, share: float | None = None) -> float:
+    """The learning rate as a share of the highest: a ramp, then half a cosine.
+
+    ``share``: of the run that is over, where it has a time rather than a number of steps.
+    """
     if step < recipe.warmup:
         return (step + 1) / recipe.warmup
-    done = (step - recipe.warmup) / max(1, recipe.steps - recipe.warmup)
+    done = (
+        share
+        if share is not None
+        else (step - recipe.warmup) / max(1, recipe.steps - recipe.warmup)
+    )
     return recipe.last_rate + (1 - recipe.last_rate) * 0.5 * (1 + math.cos(math.pi * min(done, 1)))
+
+
+def use_threads(count: int) -> None:
+    """Let PyTorch use so many processors."""
+    torch.set_num_threads(count)
 
 
 # ------------------------------------------------------------------- private
@@ -228,7 +252,8 @@ def _process(device: str) -> _Process:
         )
     kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
     world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
-    place = torch.device(kind, int(os.environ.get("LOCAL_RANK", 0)) if kind == "cuda" else None)
+    here = int(os.environ.get("LOCAL_RANK", 0))
+    place = torch.device("cuda", here) if kind == "cuda" else torch.device("cpu")
     if world > 1 and not torch.distributed.is_initialized():
         torch.distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
     return _Process(rank, world, place)

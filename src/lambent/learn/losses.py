@@ -34,6 +34,15 @@ def relative_square(x: Tensor, r: Tensor) -> Tensor:
     return torch.sqrt(1 + ((x - r) ** 2 / size).mean(1, keepdim=True)) - 1
 
 
+def unbiased(x: Tensor, r: Tensor) -> Tensor:
+    """Mean of (x - r)² / (x̄² + ε), x̄ held fast: noise of the target does not move its minimum.
+
+    A single pixel of the target, far off, counts as 100 at most.
+    """
+    size = x.detach().mean(1, keepdim=True) ** 2 + EPSILON
+    return ((x - r) ** 2 / size).clamp_max(100.0).mean()
+
+
 def gradient(x: Tensor, r: Tensor) -> Tensor:
     """Differences of neighbours in log(1 + 16 v), down and across: edges where they belong."""
     d = torch.log1p(16 * x.clamp_min(0)) - torch.log1p(16 * r.clamp_min(0))

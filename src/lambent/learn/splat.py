@@ -34,12 +34,12 @@ class Filter:
 
 
 def _tent(x: FloatImage) -> FloatImage:
-    return np.maximum(0, 1 - np.abs(x))
+    return np.maximum(np.float32(0), 1 - np.abs(x))
 
 
 def _gaussian(x: FloatImage) -> FloatImage:
     """Mitsuba's default: deviation 0.5, cut at 4 deviations, where it is 0."""
-    return np.maximum(0, np.exp(-2 * x * x) - np.float32(np.exp(-8)))
+    return np.maximum(np.float32(0), np.exp(-2 * x * x) - np.float32(np.exp(-8)))
 
 
 def _mitchell(x: FloatImage) -> FloatImage:
@@ -57,9 +57,7 @@ FILTERS = (
 )
 
 
-def splatted(
-    image: FloatImage, spp: float, kind: Filter, rng: np.random.Generator
-) -> FloatImage:
+def splatted(image: FloatImage, spp: float, kind: Filter, rng: np.random.Generator) -> FloatImage:
     """``image`` ``(C, H, W)`` of ``spp`` samples a pixel, splatted. Same shape.
 
     All channels of a pixel have the same samples: pass colour and features in one stack.
@@ -75,7 +73,7 @@ def splatted(
                 _spread(image, fy * fx, dy, dx, total, weight)
     # Mitchell's lobes may take nearly all of a pixel's weight away: renderers leave it at that
     safe = np.where(np.abs(weight) < 0.05, np.float32(0.05), weight)
-    return total / safe
+    return (total / safe).astype(np.float32)
 
 
 def expected(image: FloatImage, kind: Filter) -> FloatImage:
@@ -95,7 +93,7 @@ def _spread(
 ) -> None:
     """Add w · image, shifted by (dy, dx), and w to their sums."""
     h, w_ = image.shape[1:]
-    to = (slice(max(0, dy), h + min(0, dy)), slice(max(0, dx), w_ + min(0, dx)))
-    of = (slice(max(0, -dy), h + min(0, -dy)), slice(max(0, -dx), w_ + min(0, -dx)))
-    total[(slice(None), *to)] += (w * image)[(slice(None), *of)]
-    weight[to] += w[of]
+    rows, columns = slice(max(0, dy), h + min(0, dy)), slice(max(0, dx), w_ + min(0, dx))
+    up, left = slice(max(0, -dy), h + min(0, -dy)), slice(max(0, -dx), w_ + min(0, -dx))
+    total[:, rows, columns] += w[up, left] * image[:, up, left]
+    weight[rows, columns] += w[up, left]

@@ -110,7 +110,7 @@ class _Average(torch.autograd.Function):
     """(2) and (3) by `kernels.pyramid_gradient`."""
 
     @staticmethod
-    def forward(ctx, logits, image, coarse):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def forward(ctx, logits, image, coarse):  # type: ignore[no-untyped-def]
         own = gradient.levels_of(image.detach().numpy())
         above = None if coarse is None else gradient.levels_of(coarse.detach().numpy())
         numbers = gradient.with_room(logits.detach().numpy())
@@ -119,7 +119,7 @@ class _Average(torch.autograd.Function):
         return torch.from_numpy(np.stack([level.planes for level in found]))
 
     @staticmethod
-    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
         numbers, own, above, width = ctx.kept
         levels = gradient.levels_of(grad.numpy(), masked=False)
         a, b, c = gradient.gradients(numbers, own, above, levels, ctx.needs_input_grad[1])
@@ -130,7 +130,7 @@ class _Gather(torch.autograd.Function):
     """Σ_q w(p, q) c(q) over 5x5, tap by tap: an unfolded image would be 25 times as large."""
 
     @staticmethod
-    def forward(ctx, weights, image):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def forward(ctx, weights, image):  # type: ignore[no-untyped-def]
         ctx.save_for_backward(weights, image)
         padded = F.pad(image, (2, 2, 2, 2))
         h, w = image.shape[2:]
@@ -141,7 +141,7 @@ class _Gather(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
         weights, image = ctx.saved_tensors
         padded = F.pad(image, (2, 2, 2, 2))
         h, w = image.shape[2:]
@@ -160,7 +160,7 @@ class _GatherUp(torch.autograd.Function):
     """Σ_q v(p, q) o(q) over the 3x3 pixels of the coarser level around the one above p."""
 
     @staticmethod
-    def forward(ctx, weights, coarse):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def forward(ctx, weights, coarse):  # type: ignore[no-untyped-def]
         ctx.save_for_backward(weights, coarse)
         b, c, h, w = coarse.shape
         padded = F.pad(coarse, (1, 1, 1, 1))
@@ -172,7 +172,7 @@ class _GatherUp(torch.autograd.Function):
         return out.reshape(b, c, 2 * h, 2 * w)
 
     @staticmethod
-    def backward(ctx, grad):  # type: ignore[no-untyped-def] # noqa: ANN001, D102
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
         weights, coarse = ctx.saved_tensors
         b, c, h, w = coarse.shape
         padded = F.pad(coarse, (1, 1, 1, 1))

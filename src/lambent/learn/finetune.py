@@ -1,0 +1,267 @@
+"""A model tuned to somebody's own renders, in minutes.
+
+From pairs, ``shot.exr`` with ``shot.reference.exr`` beside it, by the loss that the model was
+trained with. From noisy frames alone, if they have two half buffers: the kernels predicted from one
+half are applied to it and compared with the other half, whose noise is independent (Lehtinen et al.
+2018). Then only the squared error is taken: noise of the target does not move its expectation.
+
+With little data only the first layers are free (Vogels et al. 2018, sec. 5.5: what differs from
+renderer to renderer is what the input looks like). Some tiles of every frame are held out; the
+result is the best model on these, the one that it began with included.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from lambent.denoise.inputs import Signals, signals_of
+from lambent.denoise.model_file import find_model, read_model
+from lambent.errors import LayerError, OptionError
+from lambent.frame.files import read
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage
+from lambent.frame.role import Role, Stat
+from lambent.kernels.oidn import exposure
+from lambent.learn import losses
+from lambent.learn.augment import Example, recoloured, turned
+from lambent.learn.batches import Row, ahead, ready
+from lambent.learn.denoising import Batch
+from lambent.learn.export import export, float_weights
+from lambent.learn.loop import train
+from lambent.learn.networks.lambent import LambentNet, denoised
+from lambent.learn.recipe import TrainRecipe
+
+#: Side of a crop, in pixels, and of the tiles that are held out.
+CROP = 128
+#: Of so many tiles one is held out.
+HELD_OUT = 6
+#: With fewer pixels than this only `FIRST` is free.
+LITTLE = 16 << 20
+FIRST = ("stem", "enc0")
+BATCH = 8
+RATE = 3e-4
+SUFFIX = ".reference"
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A noisy picture and what to compare with. ``noisy_target``: the other half."""
+
+    noisy: Signals
+    target: FloatImage
+    noisy_target: bool
+
+
+def finetune(
+    paths: Sequence[Path],
+    start: str,
+    output: Path,
+    seconds: float,
+    device: str = "auto",
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, float]:
+    """Tune the model ``start`` to the frames in ``paths`` and write it to ``output``.
+
+    Returns the validation error before and after, steps and seconds. Raises `OptionError` for too
+    little data, `LayerError` for a frame with neither reference nor half buffers, and what reading
+    frames raises.
+    """
+    pairs = [pair for path in paths if SUFFIX not in path.name for pair in pairs_of(path)]
+    card = dict(read_model(find_model(start)).card)
+    weights = float_weights(start)
+    task = FinetuneTask(pairs, str(card.get("recipe", {}).get("size", "default")))
+    recipe = TrainRecipe(
+        name="finetuned", batch=BATCH, rate=RATE, warmup=20, decay=0.99, check_every=200,
+        steps=1 << 20, last_rate=0.05,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        run = train(
+            recipe, task, Path(folder) / "run", device, start=weights, seconds=seconds,
+            check_first=True, progress=_timed(progress, seconds),
+        )  # fmt: skip
+        checks = [line for line in run.lines() if "check" in line]
+        model = task.network()
+        model.load_state_dict(run.weights())
+    before = checks[0]["check"]["score"]
+    after = min(line["check"]["score"] for line in checks)
+    steps = checks[-1]["step"]
+    card |= {
+        "finetuned_from": card.get("name"),
+        "finetuned_on": {"frames": len(paths), "pairs": len(pairs), "steps": steps},
+        "finetuned_error": [before, after],
+    }
+    export(model, output, card, [task.row(0, n).packed for n in range(32)], overwrite)
+    return {"before": before, "after": after, "steps": float(steps), "seconds": float(seconds)}
+
+
+def pairs_of(path: Path) -> list[Pair]:
+    """The pairs of a frame: with its reference, or its two halves either way round."""
+    frame = read(path)
+    other = path.with_name(f"{path.stem}{SUFFIX}{path.suffix}")
+    factor = np.float32(exposure(frame.colour))
+    if other.exists():
+        reference = read(other).colour
+        if reference.shape != frame.colour.shape:
+            raise LayerError(
+                f"is {reference.shape[1]}x{reference.shape[0]}, the frame is "
+                f"{frame.width}x{frame.height}",
+                file=other,
+                remedy="a reference needs the size of its frame",
+            )
+        return [Pair(_exposed(signals_of(frame), factor), _planes(reference) * factor, False)]
+    a, b = frame.get(Role.COLOUR, Stat.HALF_A), frame.get(Role.COLOUR, Stat.HALF_B)
+    if a is None or b is None:
+        raise LayerError(
+            "has neither a reference beside it nor half buffers",
+            file=path,
+            remedy=f"render {other.name} with many samples, or let the renderer write halves",
+        )
+    return [
+        Pair(_exposed(_half(frame, one), factor), _planes(two) * factor, True)
+        for one, two in ((a, b), (b, a))
+    ]
+
+
+class FinetuneTask:
+    """Crops of a few frames: a `learn.task.Task`."""
+
+    def __init__(self, pairs: Sequence[Pair], size: str) -> None:
+        self.pairs = [p for p in pairs if min(p.target.shape[1:]) >= CROP]
+        if not self.pairs:
+            raise OptionError(
+                "there is nothing to learn from",
+                remedy=f"give frames of at least {CROP}x{CROP} pixels",
+            )
+        self.size = size
+        self._held = [
+            (n, y, x)
+            for n, pair in enumerate(self.pairs)
+            for k, (y, x) in enumerate(_tiles(pair.target))
+            if (k + n) % HELD_OUT == 0
+        ]
+
+    def network(self) -> nn.Module:
+        """The network; with little data only its first layers learn."""
+        model = LambentNet(self.size)
+        if sum(p.target[0].size for p in self.pairs) < LITTLE:
+            for name, parameter in model.named_parameters():
+                parameter.requires_grad = name.split(".")[0] in FIRST
+        return model
+
+    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
+        """Crops from outside the held-out tiles."""
+        return ahead(self.row, first, BATCH, rank, world)
+
+    def row(self, step: int, number: int) -> Row:
+        """Row ``number`` of the batch of ``step``."""
+        rng = np.random.default_rng((step, number))
+        while True:
+            pair = self.pairs[int(rng.integers(len(self.pairs)))]
+            height, width = pair.target.shape[1:]
+            y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+            if not any(
+                p is pair and abs(y - t) < CROP and abs(x - u) < CROP
+                for p, t, u in ((self.pairs[n], t, u) for n, t, u in self._held)
+            ):
+                break
+            if rng.random() < 0.02:  # a frame that is nearly all held out
+                break
+        example = recoloured(turned(_cut(pair, y, x), rng), rng)
+        spp = float(pair.noisy.spp or 0)
+        return replace(ready(example, 0.0, spp), noisy_target=pair.noisy_target)
+
+    def loss(
+        self, model: nn.Module, batch: list[Row], device: torch.device
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The training loss, or the squared error where targets are halves."""
+        b = Batch.of(batch, device)
+        with torch.autocast(device.type, torch.bfloat16):
+            outputs = model(b.packed)
+        x = denoised(outputs, b.colour, b.divisor)
+        if batch[0].noisy_target:
+            total = losses.unbiased(x, b.target)
+            return total, {}
+        return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
+
+    @torch.no_grad()
+    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
+        """Mean relative squared error on the held-out tiles (of halves: with their noise)."""
+        errors = []
+        for n, y, x in self._held:
+            pair = self.pairs[n]
+            b = Batch.of([ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))], device)
+            with torch.autocast(device.type, torch.bfloat16):
+                outputs = model(b.packed)
+            out = denoised(outputs, b.colour, b.divisor)
+            if pair.noisy_target:
+                errors.append(float(losses.unbiased(out, b.target)))
+            else:
+                size = b.target.mean(1, keepdim=True) ** 2 + losses.EPSILON
+                errors.append(float(((out - b.target) ** 2 / size).mean()))
+        return {"score": float(np.mean(errors))}, {}
+
+
+# ------------------------------------------------------------------- private
+
+
+def _tiles(image: FloatImage) -> list[tuple[int, int]]:
+    height, width = image.shape[1:]
+    return [
+        (y, x) for y in range(0, height - CROP + 1, CROP) for x in range(0, width - CROP + 1, CROP)
+    ]
+
+
+def _cut(pair: Pair, y: int, x: int) -> Example:
+    def cut(image: FloatImage) -> FloatImage:
+        return np.ascontiguousarray(image[:, y : y + CROP, x : x + CROP])
+
+    layers = {name: cut(layer) for name, layer in pair.noisy.layers.items()}
+    noisy = replace(pair.noisy, colour=cut(pair.noisy.colour), layers=layers)
+    return Example(noisy, cut(pair.target), np.zeros((1, CROP, CROP), np.float32))
+
+
+def _exposed(signals: Signals, factor: np.float32) -> Signals:
+    layers = dict(signals.layers)
+    if "colour_std" in layers:
+        layers["colour_std"] = layers["colour_std"] * factor
+    return replace(signals, colour=signals.colour * factor, layers=layers)
+
+
+def _half(frame: Frame, half: FloatImage) -> Signals:
+    """A frame as it would be with half of its samples: that half's colour, twice the variance.
+
+    The guides are the whole frame's: their noise matters less, and halves of them are rare.
+    """
+    signals = signals_of(frame)
+    layers = dict(signals.layers)
+    if "colour_std" in layers:
+        layers["colour_std"] = layers["colour_std"] * np.float32(np.sqrt(2))
+    spp = signals.spp / 2 if signals.spp else None
+    return replace(signals, colour=_planes(half), layers=layers, spp=spp)
+
+
+def _planes(image: FloatImage) -> FloatImage:
+    if image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    return np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+
+
+def _timed(progress: Progress | None, seconds: float) -> Any:
+    """Progress by the clock: the number of steps is not known."""
+    if progress is None:
+        return None
+    import time
+
+    began = time.monotonic()
+    return lambda _done, _total, text: progress(time.monotonic() - began, seconds, text)

@@ -1,0 +1,6 @@
+"""What can be learned, by name: the ``task`` of a recipe."""
+
+from lambent.registry import Registry
+
+#: An entry is a class that a recipe, the cache's folder and a progress function make a `Task` of.
+TASKS = Registry("task", {"denoise": "lambent.learn.denoising:DenoisingTask"})
