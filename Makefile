@@ -40,6 +40,7 @@ blender: $(VENV)-blender/.done  ## an environment with Blender for the tests (Py
 lock:  ## renew the lock files (names, versions, hashes)
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
 	    --quiet pyproject.toml --extra test --extra docs --extra check --extra cluster \
+	    --extra train \
 	    -o requirements/dev.lock
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
 	    --quiet pyproject.toml -c requirements/dev.lock -o requirements/base.lock

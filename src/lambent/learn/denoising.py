@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -62,29 +62,42 @@ class Batch:
         )
 
 
+def denoising_task(
+    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+) -> DenoisingTask:
+    """The task with the data of a recipe, cached below ``place``.
+
+    Raises `OptionError` without data, and what reading data sets raises.
+    """
+    if not recipe.data:
+        raise OptionError(
+            "the recipe names no data",
+            remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
+        )
+    return DenoisingTask(recipe, [s for f in recipe.data for s in cached(Path(f), place, progress)])
+
+
 class DenoisingTask:
     """Learn to filter: `Task` for `LambentNet`.
 
-    Raises `OptionError` for a size that there is not and data that are not there.
+    Raises `OptionError` for a size that there is not, and for too few scenes.
     """
 
-    def __init__(
-        self, recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
-    ) -> None:
+    def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
         self.recipe = recipe
         if recipe.size not in WIDTHS:
             raise OptionError(
                 f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
             )
-        if not recipe.data:
-            raise OptionError(
-                "the recipe names no data",
-                remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
-            )
-        stills = [s for f in recipe.data for s in cached(Path(f), place, progress)]
         held = [s for s in stills if _is_held_out(s, recipe.held_out)]
-        self.train = Sampler([s for s in stills if not _is_held_out(s, recipe.held_out)])
-        self.checked = _spread(held, recipe.checked)
+        kept = [s for s in stills if not _is_held_out(s, recipe.held_out)]
+        if not kept or (recipe.held_out and not held):
+            raise OptionError(
+                f"{len(stills)} stills are too few to hold some scenes out",
+                remedy="make more data, or set held_out = 0",
+            )
+        self.train = Sampler(kept)
+        self.checked = _spread(held or kept, recipe.checked)
         self._yardstick: dict[str, float] | None = None
 
     def network(self) -> nn.Module:

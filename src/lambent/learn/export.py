@@ -98,7 +98,9 @@ def float_weights(model: str) -> dict[str, torch.Tensor]:
         if op.get_type_name() != "Convolution":
             continue
         name = op.get_friendly_name().removeprefix("__module.").split("/")[0]
-        found[f"{name}.weight"] = torch.from_numpy(_value(op.input_value(1).get_node()).copy())
+        weight = torch.from_numpy(_value(op.input_value(1).get_node()).copy())
+        found[f"{name}.weight"] = weight
+        found[f"{name}.bias"] = torch.zeros(len(weight))  # OpenVINO leaves out what adds nothing
         for target in op.output(0).get_target_inputs():
             after = target.get_node()
             if after.get_type_name() == "Add":

@@ -196,7 +196,7 @@ def train(
                 log.add(step, loss.detach(), terms, float(norm), adam.param_groups[0]["lr"])
             if progress is not None and here.first:
                 progress(step, last, f"training {recipe.name}")
-            if step % recipe.check_every == 0 or step == last:
+            if step % recipe.check_every == 0 or step == recipe.steps:
                 if here.first and log is not None:
                     best = _check(run, task, mean, here.device, step, best, log)
                     save()

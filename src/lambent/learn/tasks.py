@@ -3,4 +3,4 @@
 from lambent.registry import Registry
 
 #: An entry is a class that a recipe, the cache's folder and a progress function make a `Task` of.
-TASKS = Registry("task", {"denoise": "lambent.learn.denoising:DenoisingTask"})
+TASKS = Registry("task", {"denoise": "lambent.learn.denoising:denoising_task"})

@@ -1,0 +1,53 @@
+"""Small noisy frames with known answers, for learning from."""
+
+import numpy as np
+
+from lambent.dataset.item import Still
+from lambent.frame.frame import Frame
+from lambent.learn import cache
+
+
+def frame(rng, spp, size=64, clean=None):
+    """A textured picture under soft light, with ``spp`` samples of noise."""
+    y, x = np.mgrid[0:size, 0:size].astype(np.float32) / size
+    albedo = np.stack([0.5 + 0.4 * np.sin(20 * x), 0.5 + 0.4 * np.cos(17 * y), 0.6 + 0 * x], 2)
+    light = (0.2 + x * y)[:, :, None]
+    picture = (albedo * light).astype(np.float32)
+    noise = 0.5 * picture / np.sqrt(spp)
+    normal = np.zeros((size, size, 3), np.float32)
+    normal[:, :, 2] = 1
+    colour = picture if clean else rng.gamma(picture**2 / noise**2, noise**2 / picture)
+    return Frame.from_arrays(
+        spp=spp,
+        colour=colour.astype(np.float32),
+        colour_variance=noise.astype(np.float32) ** 2,
+        albedo=albedo.astype(np.float32),
+        normal=normal,
+        depth=(1 + y[:, :, None]).astype(np.float32),
+        roughness=np.full((size, size, 1), 0.5, np.float32),
+    )
+
+
+def still(seed, size=64):
+    """Levels of 1, 4 and 16 spp and the clean target."""
+    rng = np.random.default_rng(seed)
+    levels = tuple(frame(rng, spp, size) for spp in (1, 4, 16))
+    return Still(levels, frame(rng, 4096, size, clean=True))
+
+
+def stills(folder, count=4, size=64):
+    """Cached stills of as many scenes."""
+    found = []
+    for number in range(count):
+        path = folder / f"{number}.npy"
+        about = cache._store(path, still(number, size))
+        found.append(
+            cache.Cached(
+                path,
+                tuple(about["spp"]),
+                tuple(tuple(n) for n in about["layers"]),
+                f"scene {number}",
+                about["exposure"],
+            )
+        )
+    return found

@@ -1,0 +1,61 @@
+"""Losses: what they are 0 for, and that noise of the target does not move them."""
+
+import pytest
+import torch
+
+from lambent.learn import losses
+
+
+def images(seed=0):
+    torch.manual_seed(seed)
+    return torch.rand(2, 3, 32, 32) + 0.1
+
+
+def test_all_are_zero_for_the_target_itself():
+    r = images()
+    for loss in (losses.smape, losses.relative_square, losses.gradient):
+        assert float(loss(r, r).abs().max()) < 1e-6
+    total, terms = losses.denoising(r, r, r, torch.zeros(2, 1, 32, 32), torch.zeros(2))
+    assert float(total) < 1e-6
+    assert set(terms) == {"smape", "square", "gradient", "wide"}
+
+
+def test_the_asymmetric_factor_sees_sides():
+    r = torch.ones(1, 3, 8, 8)
+    c, one = r + 1, torch.ones(1)
+    beyond, before = losses.asymmetric(r - 0.1, r, c, one), losses.asymmetric(r + 0.1, r, c, one)
+    assert float(beyond.mean()) == 1 + losses.ASYMMETRY
+    assert float(before.mean()) == 1
+    assert float(losses.asymmetric(r - 0.1, r, c, 0 * one).mean()) == 1
+
+
+def test_a_noisy_target_weighs_less():
+    r = torch.ones(1, 3, 32, 32)
+    deviation = torch.zeros(1, 1, 32, 32)
+    deviation[..., 16:] = 1.0
+    weight = losses.trust(r, deviation)
+    assert float(weight[..., :12].min()) > 0.99
+    assert float(weight[..., 20:].max()) < 0.25
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3])
+def test_discounting_does_not_darken(sigma):
+    """Targets of true value 1 with skewed noise: the best constant under the weights is near 1."""
+    torch.manual_seed(0)
+    shape = 1 / sigma**2
+    r = torch.distributions.Gamma(shape, shape).sample((4, 1, 256, 256)).expand(4, 3, 256, 256)
+    deviation = r[:, :1] * sigma  # as a renderer estimates it: larger where the value is larger
+    weight = losses.trust(r, deviation)
+    mean = float((weight * r).sum() / (weight.sum() * 3))
+    assert mean == pytest.approx(1, abs=0.02 * sigma + 0.002)
+
+
+def test_the_unbiased_loss_is_least_at_the_mean():
+    torch.manual_seed(1)
+    r = torch.distributions.Exponential(1.0).sample((1, 3, 200, 200))
+    values = torch.linspace(0.8, 1.2, 9)
+    # the slope at the mean is that of the expectation: 0 up to noise
+    x = torch.ones(1, requires_grad=True)
+    losses.unbiased(x.expand_as(r), r.clamp_max(8)).backward()
+    assert abs(float(x.grad)) < 0.05
+    assert values.numel() == 9
