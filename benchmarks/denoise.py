@@ -25,13 +25,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from filters import geometric_mean, machine, markdown_table, measured
 from frames import default_cache
 
 Row = dict[str, Any]
 MODELS = (
     "oidn", "oidn-balanced", "oidn-fast", "oidn-best", "nfor-tuned", "statmc-tuned",
-    "lambent", "lambent-fast", "lambent-best",
+    "lambent",
 )  # fmt: skip
 YARDSTICK = "oidn"
 KINDS = ("full", "plain", "colour", "splat")
@@ -208,9 +209,7 @@ def main() -> None:
     from lambent.denoise.model_file import shipped
 
     models = [
-        m
-        for m in arguments.models.split(",")
-        if not m.startswith("lambent") or m in shipped()
+        m for m in arguments.models.split(",") if not m.startswith("lambent") or m in shipped()
     ]
     text, figures = f"{machine()}\n", {}
     if not arguments.no_speed:

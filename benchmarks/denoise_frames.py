@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from frames import SIZES, default_cache, write_exr
 
+from frames import SIZES, default_cache, write_exr
 from lambent.dataset.validation import CYCLES_SEEDS, SCENES
 
 #: Noisy frames and references draw from far apart seeds.

@@ -95,7 +95,7 @@ def _cell(text: str) -> str:
 ORDER = (
     "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned",
     "sbf", "sbf-tuned", "aaf", "nfor", "nfor-tuned", "statmc", "statmc-tuned",
-    "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
+    "lambent", "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
 )  # fmt: skip
 
 

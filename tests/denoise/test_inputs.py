@@ -41,9 +41,7 @@ def by_numpy(made, preference=0.3):
     signals = inputs.signals_of(made, whole.depth)
     planes = inputs.encode(np, signals, whole.exposure)
     high, wide = padded(made.height), padded(made.width)
-    planes = np.pad(
-        planes, ((0, 0), (0, high - made.height), (0, wide - made.width)), mode="edge"
-    )
+    planes = np.pad(planes, ((0, 0), (0, high - made.height), (0, wide - made.width)), mode="edge")
     return inputs.pack(np, planes, inputs.constants(signals, preference))
 
 
@@ -65,9 +63,7 @@ SUBSETS = [
 @pytest.mark.parametrize("without", SUBSETS, ids=lambda w: f"without {len(w)}")
 def test_the_kernel_is_the_description(without):
     made = frame(**without)
-    packed = prepare.packed_inputs(
-        prepare.Given.of(made), prepare.Whole.of(made), 0.3, "auto"
-    )
+    packed = prepare.packed_inputs(prepare.Given.of(made), prepare.Whole.of(made), 0.3, "auto")
     expected = by_numpy(made)
     assert packed.shape == (1, *expected.shape)
     np.testing.assert_allclose(packed[0], expected, atol=2e-6)

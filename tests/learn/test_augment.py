@@ -57,9 +57,7 @@ def test_recolouring_keeps_light_over_albedo_apart_from_a_gain():
         gains = np.sort((ratio / plain[0]).reshape(3, -1).mean(axis=1))
         # every channel is the old light (the same in all channels) times one number
         for channel in ratio:
-            np.testing.assert_allclose(
-                channel / plain[0], (channel / plain[0]).mean(), rtol=1e-4
-            )
+            np.testing.assert_allclose(channel / plain[0], (channel / plain[0]).mean(), rtol=1e-4)
         assert gains[0] > 0
 
 

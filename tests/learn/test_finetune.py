@@ -59,7 +59,11 @@ def test_half_buffers_suffice(tmp_path):
     write(tmp_path / "noisy.exr", frame)
     pairs = pairs_of(tmp_path / "noisy.exr")
     assert [pair.noisy_target for pair in pairs] == [True, True]
-    np.testing.assert_allclose(pairs[0].noisy.colour / pairs[1].target, pairs[0].noisy.colour[0, 0, 0] / pairs[1].target[0, 0, 0], rtol=1e-3)
+    np.testing.assert_allclose(
+        pairs[0].noisy.colour / pairs[1].target,
+        pairs[0].noisy.colour[0, 0, 0] / pairs[1].target[0, 0, 0],
+        rtol=1e-3,
+    )
     task = FinetuneTask(pairs, "fast")
     batch = [task.row(0, n) for n in range(2)]
     loss, _ = task.loss(LambentNet("fast"), batch, torch.device("cpu"))

@@ -56,7 +56,12 @@ def test_two_processes_are_one(tmp_path):
         command = [sys.executable, str(script), str(data), str(tmp_path / folder)]
         if count == 2:
             run = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2"]
-            command = [*run, "--master-port=0", "--rdzv-backend=c10d", "--rdzv-endpoint=localhost:0"]
+            command = [
+                *run,
+                "--master-port=0",
+                "--rdzv-backend=c10d",
+                "--rdzv-endpoint=localhost:0",
+            ]
             command += [str(script), str(data), str(tmp_path / folder)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)

@@ -22,12 +22,21 @@ def start(args: Sequence[str]) -> threading.Thread:
             model = args[index + 1]
         elif arg.startswith("--model="):
             model = arg.partition("=")[2]
+    model = model or _default()
     modules = [*_FOR_ALL]
-    if not model or model.startswith("oidn"):
+    if model.startswith("oidn"):
         modules.insert(1, "mitsuba_oidn")
+    if model.startswith("lambent"):
+        modules.insert(1, "openvino")
     thread = threading.Thread(target=_import, args=(modules,), name="warmup", daemon=True)
     thread.start()
     return thread
+
+
+def _default() -> str:
+    from lambent.filters.denoiser import DEFAULT_MODEL
+
+    return DEFAULT_MODEL
 
 
 def _import(modules: Sequence[str]) -> None:

@@ -8,8 +8,6 @@ weights of averages, and the same ones filter the beauty, all lighting layers an
 
 with F the pyramid of kernels, d the albedo, g a gate; alpha is F(alpha). Each is linear in the
 layer, so layers that sum to the beauty still do, grey stays grey, and coverage stays in [0, 1].
-
-Sizes: ``lambent`` is the default, ``lambent-fast`` half its time, ``lambent-best`` twice.
 """
 
 from __future__ import annotations
@@ -90,6 +88,16 @@ class Lambent(Denoiser):
         images = [layer.data for layer in layers]
         return self._filter(frame, images, [layer.role is not Role.ALPHA for layer in layers])
 
+    def at_strength(self, strength: float) -> tuple[Lambent, float]:
+        """From 1 to 1/2 the preference rises to 1; below, its result is blended with the input.
+
+        A preference that was set stays, and the strength blends.
+        """
+        if self.preference:
+            return self, strength
+        preference = min(1.0, 2 * (1 - strength))
+        return dataclasses.replace(self, preference=preference), min(1.0, 2 * strength)
+
     def margin(self) -> int:
         """192: the reach of the network and of its coarsest kernels."""
         return _MARGIN
@@ -129,30 +137,6 @@ class Lambent(Denoiser):
                 gate = logits[0][_GATE:]
                 results += prepare.merged(given, level, gate, channels, by, self.device)
         return results
-
-
-@dataclass(frozen=True)
-class LambentFast(Lambent):
-    """Lambent's small network."""
-
-    about: ClassVar[About] = dataclasses.replace(
-        Lambent.about,
-        name="lambent-fast",
-        title="Lambent's own network, small",
-        when="previews, and frames by the thousand",
-    )
-
-
-@dataclass(frozen=True)
-class LambentBest(Lambent):
-    """Lambent's large network."""
-
-    about: ClassVar[About] = dataclasses.replace(
-        Lambent.about,
-        name="lambent-best",
-        title="Lambent's own network, large",
-        when="finished pictures",
-    )
 
 
 _models: dict[str, ModelFile] = {}

@@ -12,7 +12,11 @@ The order and the reasons:
    *and* lies among such pixels; edges that are merely anti-aliased are not noise. An alpha that
    is filtered is held to [0, 1]; around one that is not, colour (premultiplied) is kept from
    spilling to where there was neither coverage nor light.
-4. *Strength*: ``(1 − s) · input + s · result``, for every layer alike, so sums hold here too.
+4. *Strength*: a denoiser that can keep more of the input is asked to (`Denoiser.at_strength`);
+   then ``(1 − s) · input + s · result``, for every layer alike, so sums hold here too.
+
+How much light the beauty has gained or lost is told: a filter redistributes fireflies, and what it
+gives their surroundings is less than they had.
 """
 
 from __future__ import annotations
@@ -42,6 +46,9 @@ from lambent.frame.role import INFO, Role, Stat, parse_role
 
 if TYPE_CHECKING:
     from lambent.frame.repair import Repairs
+
+#: A change of the total light below this is not worth a word.
+LIGHT_CHANGE = 1e-3
 
 #: Alpha counts as noisy when more than this share of the pixels is fractional among fractional.
 NOISY_ALPHA_SHARE = 1e-3
@@ -236,6 +243,7 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
             same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
+    denoiser, share = denoiser.at_strength(settings.strength)
     if settings.threads is not None and "threads" not in parameters(settings.model):
         _limit_drjit(settings)
     fitted = denoiser.fitted(repaired)
@@ -249,8 +257,9 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
         repaired,
         chosen,
         cleaned,
-        settings.strength,
+        share,
     )
+    finished = finished.noted(*_light_note(chosen[0].data, finished[Role.COLOUR]))
     clock.done("blend")
     names = tuple(layer.name for layer in chosen)
     return Cleaned(finished, names, repairs, plan, clock.seconds)
@@ -411,6 +420,16 @@ def _remap(frame: Frame, roles: Mapping[str, str], albedo: Any, normal: Any) -> 
         mapped = Layer(role, source.data, stat=stat, name=layer_name, source=source.source)
         frame = frame.replace(layers={**frame.layers, (role, stat): mapped})
     return _with_guides(frame, arrays.get("albedo"), arrays.get("normal"))
+
+
+def _light_note(before: FloatImage, after: FloatImage) -> tuple[str, ...]:
+    """A sentence on the change of the beauty's total light, where it is a thousandth and more."""
+    one, two = (float(image.sum(dtype=np.float64)) for image in (before, after))
+    change = two / one - 1 if one > 0 else 0.0
+    if abs(change) < LIGHT_CHANGE:
+        return ()
+    word = "less" if change < 0 else "more"
+    return (f"the denoised beauty holds {abs(change):.1%} {word} light than the noisy one",)
 
 
 def _any_light(layers: list[Layer]) -> bool:

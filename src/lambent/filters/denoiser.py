@@ -110,6 +110,14 @@ class Denoiser:
         """
         return self
 
+    def at_strength(self, strength: float) -> tuple[Denoiser, float]:
+        """The denoiser for a strength in (0, 1], and the share of its result in the blend.
+
+        Here: itself, and the strength. A denoiser that can be asked to keep more of the input
+        does that first, before anything is blended.
+        """
+        return self, strength
+
     def remarks(self, frame: Frame) -> tuple[str, ...]:
         """What a person should know about this frame with this model, one sentence each."""
         return ()
@@ -205,8 +213,6 @@ DENOISERS = Registry(
     "model",
     {
         "lambent": "lambent.denoise.learned:Lambent",
-        "lambent-fast": "lambent.denoise.learned:LambentFast",
-        "lambent-best": "lambent.denoise.learned:LambentBest",
         "oidn": "lambent.filters.oidn:OIDN",
         "oidn-balanced": "lambent.filters.oidn:OIDNBalanced",
         "oidn-fast": "lambent.filters.oidn:OIDNFast",
