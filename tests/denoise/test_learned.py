@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from lambent.denoise import learned, model_file
+from lambent.denoise import model_file
 from lambent.denoise.learned import Lambent
 from lambent.denoise.pipeline import Settings, clean
 from lambent.denoise.tiles import filter_tiles, plan_tiles
@@ -156,7 +156,7 @@ def test_float32_agrees_with_the_short_type():
 def test_every_shipped_model_has_a_card():
     assert "lambent" in model_file.shipped()
     for name, path in model_file.shipped().items():
-        card = learned.card(name)
+        card = create(name).card()
         for key in ("name", "recipe", "data", "hours", "score", "curve", "sha256"):
             assert key in card, (name, key)
         assert create(name).about.name == name

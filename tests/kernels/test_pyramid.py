@@ -39,6 +39,21 @@ def test_the_kernels_are_the_reference(height, width):
     np.testing.assert_array_equal(found.mask, level.mask)
 
 
+@pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
+def test_short_logits_are_their_floats():
+    rng = np.random.default_rng(5)
+    logits, level = random_logits(rng, 70, 90), filled(rng, 6, 70, 90)
+    short = []
+    for values in logits:
+        short.append(pyramid.logits_memory(values.shape, short=True))
+        short[-1][...] = values.view(np.uint32) >> 16
+        values[...] = pyramid.as_floats(short[-1])
+    long = pyramid.filter_planes(logits, level).planes
+    np.testing.assert_array_equal(pyramid.filter_planes(short, level).planes, long)
+    expected = pyramid.reference(short, level.planes, level.mask)
+    np.testing.assert_allclose(long, expected, atol=3e-6)
+
+
 def test_nothing_outside_the_frame_gets_weight():
     rng = np.random.default_rng(1)
     logits, level = random_logits(rng, 70, 50), filled(rng, 3, 70, 50)

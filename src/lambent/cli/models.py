@@ -60,6 +60,7 @@ def _card(name: str) -> dict[str, Any]:
         "paper": about.paper,
         "when": about.when,
         "linear": about.linear,
+        "training": dict(DENOISERS[name]().card()),
         "parameters": [
             {"name": key, "type": _type_name(kind), "default": _default(default)}
             for key, (kind, default) in parameters(name).items()
@@ -114,6 +115,8 @@ def _print_card(card: dict[str, Any]) -> None:
             else "not linear in the colour",
         ),
     ]
+    if card["training"]:
+        rows += _training(card["training"])
     for label, text in rows:
         if text:
             _entry(f"  {label}", text, 12, width)
@@ -124,6 +127,21 @@ def _print_card(card: dict[str, Any]) -> None:
             shown = "auto" if p["default"] is None else p["default"]
             _entry(f"  {p['name']}", f"{shown}  ({p['type']})", left, width)
     print(f"\nUse it: lambent denoise noisy.exr --model {card['name']}")
+
+
+def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
+    """What a learned model's card says, in words."""
+    sets = [
+        f"{one['crops']} crops and {one['clips']} clips of {one['scenes']} scenes "
+        f"({'; '.join(one['licences'])})"
+        for one in card.get("data", ())
+    ]
+    score = card.get("score", {})
+    return [
+        ("trained on", ", ".join(sets)),
+        ("for", f"{card.get('step', '?')} steps, {card.get('hours', '?')} h"),
+        ("score", f"{score['score']:.3f} of OIDN High's error, held-out crops" if score else ""),
+    ]
 
 
 def _entry(label: str, text: str, left: int, width: int) -> None:

@@ -28,7 +28,8 @@ def start(args: Sequence[str]) -> threading.Thread:
         modules.insert(1, "mitsuba_oidn")
     if model.startswith("lambent"):
         modules.insert(1, "openvino")
-    thread = threading.Thread(target=_import, args=(modules,), name="warmup", daemon=True)
+    learned = model if model.startswith("lambent") else ""
+    thread = threading.Thread(target=_import, args=(modules, learned), name="warmup", daemon=True)
     thread.start()
     return thread
 
@@ -39,7 +40,10 @@ def _default() -> str:
     return DEFAULT_MODEL
 
 
-def _import(modules: Sequence[str]) -> None:
+def _import(modules: Sequence[str], learned: str) -> None:
     for name in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(name)
+    if learned:
+        with contextlib.suppress(Exception):
+            importlib.import_module("lambent.denoise.learned").prefetch(learned)

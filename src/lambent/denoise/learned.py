@@ -27,7 +27,7 @@ from lambent.filters.denoiser import About, Denoiser, Device
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import COARSE, OWN, filter_planes
+from lambent.kernels.pyramid import COARSE, OWN, compile_all, filter_planes
 
 #: Layers filtered in one pass: weights are made again for the next so many.
 _AT_ONCE = 4
@@ -114,6 +114,10 @@ class Lambent(Denoiser):
         """The model file. Raises `FileError` and `DamagedFileError`."""
         return _model(self.weights or self.about.name)
 
+    def card(self) -> dict[str, Any]:
+        """The card of the model file."""
+        return dict(self.model().card)
+
     # --------------------------------------------------------------- private
 
     def _filter(
@@ -139,6 +143,12 @@ class Lambent(Denoiser):
         return results
 
 
+def prefetch(name: str) -> None:
+    """Load a model, its network and its kernels, so that the first frame need not wait."""
+    runtime.network(_model(name))
+    compile_all()
+
+
 _models: dict[str, ModelFile] = {}
 
 
@@ -148,8 +158,3 @@ def _model(name: str) -> ModelFile:
     if key not in _models:
         _models[key] = read_model(path)
     return _models[key]
-
-
-def card(name: str) -> dict[str, Any]:
-    """The card of a model by name or path."""
-    return dict(_model(name).card)

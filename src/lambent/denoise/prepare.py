@@ -35,7 +35,7 @@ from lambent.frame.misses import FAR
 from lambent.frame.role import INFO, Role
 from lambent.kernels.arrays import aligned, backend
 from lambent.kernels.oidn import exposure
-from lambent.kernels.pyramid import Level, Workspace, level_of, padded
+from lambent.kernels.pyramid import Level, Logits, Workspace, as_floats, level_of, padded
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def split(
 def merged(
     given: Given,
     level: Level,
-    gate: FloatImage,
+    gate: Logits,
     channels: Sequence[int],
     divided: Sequence[bool],
     device: str,
@@ -276,7 +276,8 @@ def merged(
         cells = dr.opaque(module.UInt32, gate.shape[1] * gate.shape[2])
         at = ((row & 1) * 2 + (column & 1)) * cells
         at += (row >> 1) * dr.opaque(module.UInt32, gate.shape[2]) + (column >> 1)
-        logit = dr.gather(module.Float, module.Float(gate.reshape(-1)), at)
+        flat = module.Float(as_floats(gate).reshape(-1))
+        logit = dr.gather(module.Float, flat, at)
         g = 1 / (1 + dr.exp(-logit))
     plane = 0
     results, outs = [], []

@@ -21,7 +21,7 @@ from lambent.denoise.model_file import ModelFile
 from lambent.errors import DamagedFileError, EngineError
 from lambent.frame.layer import FloatImage
 from lambent.kernels.arrays import aligned
-from lambent.kernels.pyramid import Workspace, logits_memory
+from lambent.kernels.pyramid import Logits, Workspace, logits_memory
 from lambent.startup import cache_folder
 
 #: Levels of the pyramid, and the channels that the network gives for each (`learn.networks`).
@@ -71,7 +71,7 @@ class Network:
     def __init__(self, compiled: Any) -> None:
         self._request = compiled.create_infer_request()
         self._lock = threading.Lock()
-        self._logits: list[FloatImage] = []
+        self._logits: list[Logits] = []
         self._packed: FloatImage | None = None
         self.workspace = Workspace()
 
@@ -89,8 +89,10 @@ class Network:
     def __exit__(self, *_: object) -> None:
         self._lock.release()
 
-    def __call__(self, packed: FloatImage) -> list[FloatImage]:
+    def __call__(self, packed: FloatImage) -> list[Logits]:
         """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
+
+        They are bfloat16 (`kernels.pyramid`): the largest tensors there are, and half as large.
 
         Only within ``with network:``; the arrays are written again by the next call.
         """
@@ -102,10 +104,11 @@ class Network:
             for level, count in enumerate(OUTPUTS)
         ]
         if [a.shape for a in self._logits] != shapes:
-            self._logits = [logits_memory(shape) for shape in shapes]
+            self._logits = []
+            self._logits = [logits_memory(shape, short=True) for shape in shapes]
             for number, array in enumerate(self._logits):
-                tensor = ov.Tensor(array[None], shared_memory=True)
-                self._request.set_output_tensor(number, tensor)
+                shape = ov.Shape([1, *array.shape])
+                self._request.set_output_tensor(number, ov.Tensor(array, shape, ov.Type.bf16))
         self._request.set_input_tensor(ov.Tensor(packed, shared_memory=True))
         self._request.start_async()
         while not self._request.wait_for(100):  # so that Ctrl-C is heard
@@ -144,13 +147,24 @@ def _compiled(model: ModelFile, precision: str, threads: int | None) -> Any:
         options["INFERENCE_NUM_THREADS"] = threads
     try:
         graph = core.read_model(model.network, model.weights)
-        return core.compile_model(graph, "CPU", options)
+        return core.compile_model(_with_short_outputs(graph), "CPU", options)
     except RuntimeError as error:
         raise DamagedFileError(
             f"OpenVINO does not take this network: {str(error).strip().splitlines()[-1]}",
             file=model.path,
             remedy="install Lambent again, or export the model again",
         ) from error
+
+
+def _with_short_outputs(graph: Any) -> Any:
+    """The graph with bfloat16 outputs."""
+    from openvino import Type
+    from openvino.preprocess import PrePostProcessor
+
+    ends = PrePostProcessor(graph)
+    for number in range(len(graph.outputs)):
+        ends.output(number).tensor().set_element_type(Type.bf16)
+    return ends.build()
 
 
 @functools.lru_cache(maxsize=1)

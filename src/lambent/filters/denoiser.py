@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -109,6 +109,10 @@ class Denoiser:
         tell return themselves.
         """
         return self
+
+    def card(self) -> Mapping[str, Any]:
+        """How a learned model came about: data, recipe, hours, scores. Nothing for the others."""
+        return {}
 
     def at_strength(self, strength: float) -> tuple[Denoiser, float]:
         """The denoiser for a strength in (0, 1], and the share of its result in the blend.

@@ -109,6 +109,17 @@ class Code:
         """The vector at an address, aligned or not."""
         return self._new(f"load {VECTOR}, ptr {address}, align 4")
 
+    def load_short(self, base: str, *index: str | int) -> str:
+        """A vector of bfloat16 at the sum of the indices, as floats: their upper halves."""
+        total = str(index[0])
+        for more in index[1:]:
+            total = self.integer("add", total, more)
+        address = self._new(f"getelementptr i16, ptr {base}, i64 {total}")
+        short = self._new(f"load <{LANES} x i16>, ptr {address}, align 2")
+        wide = self._new(f"zext <{LANES} x i16> {short} to {_INTEGERS}")
+        bits = self._new(f"shl {_INTEGERS} {wide}, splat (i32 16)")
+        return self._new(f"bitcast {_INTEGERS} {bits} to {VECTOR}")
+
     def store(self, value: str, address: str) -> None:
         """A vector to an address, aligned or not."""
         self.lines.append(f"  store {VECTOR} {value}, ptr {address}, align 4")
@@ -236,10 +247,15 @@ class Code:
 
 @dataclass(eq=False)
 class Kernel:
-    """A compiled function over image rows."""
+    """A compiled function over image rows.
+
+    ``effort``: LLVM's, 0 to 3. Compiling with 0 takes a third of the time, and code that waits for
+    memory runs as fast.
+    """
 
     name: str
     write: Callable[[Code], None]
+    effort: int = 3
     _function: Any = field(default=None)
 
     def rows(
@@ -256,7 +272,7 @@ class Kernel:
         """
         import drjit as dr
 
-        self._ready()
+        self.prepare()
         numbers = np.array(
             [p.ctypes.data if isinstance(p, np.ndarray) else p for p in params], np.int64
         )
@@ -280,18 +296,19 @@ class Kernel:
         self, params: Sequence[int | np.ndarray], first: int, last: int, scratch: np.ndarray
     ) -> None:
         """Run it on rows ``first`` to ``last`` on the calling thread, with its own scratch."""
-        self._ready()
+        self.prepare()
         numbers = np.array(
             [p.ctypes.data if isinstance(p, np.ndarray) else p for p in params], np.int64
         )
         self._function(numbers.ctypes.data, first, last, scratch.ctypes.data)
 
-    def _ready(self) -> None:
+    def prepare(self) -> None:
+        """Compile it now, if it is not yet."""
         with _compiling:
             if self._function is None:
                 code = Code()
                 self.write(code)
-                self._function = _compile(code.text(self.name), self.name)
+                self._function = _compile(code.text(self.name), self.name, self.effort)
 
 
 _compiling = threading.Lock()
@@ -355,7 +372,7 @@ class _Options(ctypes.Structure):
     ]
 
 
-def _compile(text: str, name: str) -> Any:
+def _compile(text: str, name: str, effort: int) -> Any:
     """The function ``name`` of a module; it stays loaded as long as the process runs."""
     llvm = _library()
     context = ctypes.c_void_p(llvm.LLVMContextCreate())
@@ -371,7 +388,7 @@ def _compile(text: str, name: str) -> Any:
     options = _Options()
     size = ctypes.c_size_t(ctypes.sizeof(options))
     llvm.LLVMInitializeMCJITCompilerOptions(ctypes.byref(options), size)
-    options.OptLevel = 3
+    options.OptLevel = effort
     machine = ctypes.c_void_p()
     if llvm.LLVMCreateMCJITCompilerForModule(
         ctypes.byref(machine), module, ctypes.byref(options), size, ctypes.byref(message)

@@ -12,7 +12,8 @@ NumPy, for machines without LLVM and for tests.
 Logits come as the network gives them, channels first: ``logits[0]`` ``(4·K, H/2, W/2)`` with
 channel 4 k + 2 y + x for the pixels (2 i + y, 2 j + x), then ``(K, H/2, W/2)``, and so on; K is 35
 and more (what follows is ignored), 25 on the coarsest level. H and W are multiples of 32; the frame
-itself may be smaller (``height``, ``width``).
+itself may be smaller (``height``, ``width``). They are float32, or bfloat16 as the upper halves of
+float32 in uint16: half the memory to go through, and exact enough for weights.
 """
 
 from __future__ import annotations
@@ -20,14 +21,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.kernels.arrays import FloatImage, aligned
 from lambent.kernels.machine import LANES, Code, Kernel, available
 
 #: Taps of a level's own window (5x5), and of the coarser level's (3x3).
 OWN, COARSE = 25, 9
+#: float32, or the upper halves of float32 in uint16.
+Logits = NDArray[Any]
 TINY = 1e-30
 #: Empty columns left and right of a plane, and rows above and below.
 _LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2
@@ -128,7 +133,7 @@ def level_of(channels: int, height: int, width: int, workspace: Workspace | None
 
 
 def filter_planes(
-    logits: Sequence[FloatImage],
+    logits: Sequence[Logits],
     level: Level,
     device: str = "auto",
     workspace: Workspace | None = None,
@@ -154,21 +159,42 @@ def filter_planes(
     return out
 
 
-def logits_memory(shape: tuple[int, ...]) -> FloatImage:
-    """An array for logits with room behind its end, as kernels that read whole vectors need."""
+def logits_memory(shape: tuple[int, ...], short: bool = False) -> Logits:
+    """An array for logits with room behind its end, as kernels that read whole vectors need.
+
+    ``short``: for bfloat16.
+    """
     count = int(np.prod(shape))
+    if short:
+        return aligned((count // 2 + 4 * LANES,)).view(np.uint16)[:count].reshape(shape)
     return aligned((count + 4 * LANES,))[:count].reshape(shape)
+
+
+def as_floats(logits: Logits) -> FloatImage:
+    """Logits as float32."""
+    if logits.dtype == np.uint16:
+        return (logits.astype(np.uint32) << 16).view(np.float32)
+    return np.asarray(logits, np.float32)
+
+
+def compile_all() -> None:
+    """Compile every kernel of the filter now: before they are needed, in another thread."""
+    if available():
+        for packed in (True, False):
+            _down_kernel(packed, short=True).prepare()
+        for packed, coarse in ((True, True), (False, True), (False, False)):
+            _gather_kernel(packed, coarse, short=True).prepare()
 
 
 # -------------------------------------------------------------------- kernels
 
 
-def _down(level: Level, logits: FloatImage, space: Workspace, number: int) -> Level:
+def _down(level: Level, logits: Logits, space: Workspace, number: int) -> Level:
     """The next coarser level, equation (1)."""
     packed, channels = number == 0, level.channels
     coarse = space.level(f"down{number}", channels, level.height // 2, level.width // 2)
     first = 4 * (OWN + COARSE) if packed else OWN + COARSE
-    _down_kernel(packed).rows(
+    _down_kernel(packed, logits.dtype == np.uint16).rows(
         [
             *level.params,
             *coarse.params,
@@ -184,14 +210,14 @@ def _down(level: Level, logits: FloatImage, space: Workspace, number: int) -> Le
 
 
 def _gather(
-    level: Level, logits: FloatImage, coarse: Level | None, space: Workspace, number: int
+    level: Level, logits: Logits, coarse: Level | None, space: Workspace, number: int
 ) -> Level:
     """A level filtered, equations (2) and (3)."""
     packed, channels = number == 0, level.channels
     out = space.level(f"out{number}", channels, level.height, level.width)
     out.memory[0] = level.memory[0]
     above = coarse if coarse is not None else level
-    _gather_kernel(packed, coarse is not None).rows(
+    _gather_kernel(packed, coarse is not None, logits.dtype == np.uint16).rows(
         [
             *level.params,
             *above.params,
@@ -233,8 +259,12 @@ class _Image:
         return cls(base, stride, plane, code.integer("sub", 0, plane))
 
 
-@functools.lru_cache(maxsize=2)
-def _down_kernel(packed: bool) -> Kernel:
+def _logit(code: Code, short: bool, base: str, *index: str | int) -> str:
+    return code.load_short(base, *index) if short else code.load(code.at(base, *index))
+
+
+@functools.lru_cache(maxsize=4)
+def _down_kernel(packed: bool, short: bool) -> Kernel:
     def write(code: Code) -> None:
         fine, coarse = _Image.of(code, 0), _Image.of(code, 4)
         u, stride, plane, width = code.address(8), code.param(9), code.param(10), code.param(11)
@@ -254,13 +284,16 @@ def _down_kernel(packed: bool) -> Kernel:
                 if packed:
                     line = code.integer("add", code.integer("mul", row.i, stride), x.i)
                     logits = [
-                        code.load(code.at(u, line, code.integer("mul", plane, k))) for k in range(4)
+                        _logit(code, short, u, line, code.integer("mul", plane, k))
+                        for k in range(4)
                     ]
                 else:
                     logits = []
                     for y in (0, 1):
                         line = code.integer("mul", code.integer("add", up, y), stride)
-                        logits += split(u, code.integer("add", line, x2))
+                        at = code.integer("add", line, x2)
+                        a, b = (_logit(code, short, u, at, n) for n in (0, LANES))
+                        logits += [code.shuffle(a, b, _EVEN), code.shuffle(a, b, _ODD)]
                 highest = logits[0]
                 for value in logits[1:]:
                     highest = code.greater(highest, value)
@@ -289,11 +322,11 @@ def _down_kernel(packed: bool) -> Kernel:
                     place = code.integer("add", code.integer("mul", c.i, coarse.plane), target)
                     code.store(mean, code.at(coarse.base, place))
 
-    return Kernel(f"pyramid_down_{int(packed)}", write)
+    return Kernel(f"pyramid_down_{int(packed)}{int(short)}", write, effort=0)
 
 
-@functools.lru_cache(maxsize=4)
-def _gather_kernel(packed: bool, with_coarse: bool) -> Kernel:
+@functools.lru_cache(maxsize=8)
+def _gather_kernel(packed: bool, with_coarse: bool, short: bool) -> Kernel:
     taps = OWN + (COARSE if with_coarse else 0)
     parts = 2 if packed else 1
     step = parts * LANES
@@ -330,7 +363,7 @@ def _gather_kernel(packed: bool, with_coarse: bool) -> Kernel:
 
                 def logit(k: int, part: int) -> str:
                     number = 4 * k + part if packed else k
-                    return code.load(code.at(w, here, code.integer("mul", plane, number)))
+                    return _logit(code, short, w, here, code.integer("mul", plane, number))
 
                 highest = [logit(0, part) for part in range(parts)]
                 for k in range(1, taps):
@@ -385,7 +418,8 @@ def _gather_kernel(packed: bool, with_coarse: bool) -> Kernel:
                             mean = code.op("fmul", sums[part], scale[part])
                             code.store(mean, code.at(out.base, place, LANES * part))
 
-    return Kernel(f"pyramid_gather_{int(packed)}{int(with_coarse)}", write)
+    name = f"pyramid_gather_{int(packed)}{int(with_coarse)}{int(short)}"
+    return Kernel(name, write, effort=0)
 
 
 def _sum(code: Code, *numbers: str) -> str:
@@ -398,8 +432,9 @@ def _sum(code: Code, *numbers: str) -> str:
 # ------------------------------------------------------------------ reference
 
 
-def reference(logits: Sequence[FloatImage], image: FloatImage, mask: FloatImage) -> FloatImage:
+def reference(logits: Sequence[Logits], image: FloatImage, mask: FloatImage) -> FloatImage:
     """The same in NumPy: ``image`` ``(C, H, W)``, ``mask`` ``(H, W)`` 1 where there is a pixel."""
+    logits = [as_floats(level) for level in logits]
     fine = logits[0]
     count, height, width = fine.shape[0] // 4, fine.shape[1], fine.shape[2]
     fine = fine.reshape(count, 2, 2, height, width).transpose(0, 3, 1, 4, 2)

@@ -59,7 +59,7 @@ def average(
 ) -> list[Level]:
     """The levels filtered with ``logits`` (from `with_room`)."""
     packed = is_packed(logits, own[0])
-    kernel = _gather_kernel(packed, coarse is not None)
+    kernel = _gather_kernel(packed, coarse is not None, short=False)
     outs = [Level.empty(level.channels, level.height, level.width) for level in own]
 
     def work(b: int, scratch: FloatImage) -> None:
