@@ -13,11 +13,12 @@ def images(seed=0):
 
 def test_all_are_zero_for_the_target_itself():
     r = images()
-    for loss in (losses.smape, losses.relative_square, losses.gradient):
+    for loss in (losses.smape, losses.logarithmic, losses.gradient):
         assert float(loss(r, r).abs().max()) < 1e-6
+    assert float(losses.relative_square(r, r, r[:, :1]).abs().max()) < 1e-6
     total, terms = losses.denoising(r, r, r, torch.zeros(2, 1, 32, 32), torch.zeros(2))
     assert float(total) < 1e-6
-    assert set(terms) == {"smape", "square", "gradient", "wide"}
+    assert set(terms) == {"log", "square", "gradient", "wide"}
 
 
 def test_the_asymmetric_factor_sees_sides():
@@ -36,6 +37,16 @@ def test_a_noisy_target_weighs_less():
     weight = losses.trust(r, deviation)
     assert float(weight[..., :12].min()) > 0.99
     assert float(weight[..., 20:].max()) < 0.25
+
+
+def test_light_in_the_dark_keeps_its_slope():
+    """A dark pixel that gets light from a lamp of 1000: the pull on the lamp's weight stays."""
+    r = torch.full((1, 3, 8, 8), 0.1)
+    for weight in (0.01, 0.1):
+        logit = torch.tensor(weight).logit().requires_grad_()
+        x = r + torch.sigmoid(logit) * (1000 - r)
+        losses.logarithmic(x, r).mean().backward()
+        assert float(logit.grad) > 0.3
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.3])

@@ -69,9 +69,11 @@ def export_run(run: Run, task: Any, path: Path, overwrite: bool = False) -> dict
     model.load_state_dict(run.weights())
     about = json.loads((run.folder / "run.json").read_text(encoding="utf-8"))
     best = min((ln for ln in run.lines() if "check" in ln), key=lambda ln: ln["check"]["score"])
+    recipe = run.recipe()
+    recipe["data"] = [Path(folder).name for folder in recipe["data"]]
     card = {
-        "name": run.recipe()["name"],
-        "recipe": run.recipe(),
+        "name": recipe["name"],
+        "recipe": recipe,
         "step": best["step"],
         "hours": round(about["seconds"] / 3600, 2),
         "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},

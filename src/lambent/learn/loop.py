@@ -155,6 +155,7 @@ def train(
         mean = {k: v.to(here.device) for k, v in state["mean"].items()}
         adam.load_state_dict(state["adam"])
         step, best, spent = state["step"], state["best"], state["spent"]
+    first = step
     last = min(recipe.steps, steps if steps is not None else recipe.steps)
     parallel: nn.Module = DistributedDataParallel(model) if here.world > 1 else model
     log = _Log(run, step) if here.first else None
@@ -169,6 +170,7 @@ def train(
             }  # fmt: skip
             with atomic(run.state, overwrite=True) as handle:
                 torch.save(state, handle)
+            _note(run, spent + time.monotonic() - began)
         saved = time.monotonic()
 
     if check_first and step == 0 and log is not None:
@@ -195,7 +197,8 @@ def train(
             if log is not None:
                 log.add(step, loss.detach(), terms, float(norm), adam.param_groups[0]["lr"])
             if progress is not None and here.first:
-                progress(step, last, f"training {recipe.name}")
+                words = f"training {recipe.name}, step {step} of {last}"
+                progress(step - first, last - first, words)
             if step % recipe.check_every == 0 or step == recipe.steps:
                 if here.first and log is not None:
                     best = _check(run, task, mean, here.device, step, best, log)
@@ -213,8 +216,6 @@ def train(
             close()
         if log is not None:
             log.close()
-        if here.first:
-            _note(run, spent + time.monotonic() - began)
         if here.world > 1:
             torch.distributed.destroy_process_group()
     return run

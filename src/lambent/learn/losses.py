@@ -23,15 +23,27 @@ def smape(x: Tensor, r: Tensor) -> Tensor:
     return ((x - r).abs() / (x.abs() + r.abs() + EPSILON)).mean(1, keepdim=True)
 
 
-def relative_square(x: Tensor, r: Tensor) -> Tensor:
-    """√(1 + e²) - 1 with e² = (x - r)² / (x̄² + ε), x̄ held fast.
+def logarithmic(x: Tensor, r: Tensor) -> Tensor:
+    """½ |ln((x + ε) / (r + ε))|, mean of the channels.
 
-    Lehtinen et al. 2018 ("Noise2Noise", sec. 3.3) divide by the output, not by the target, since a
-    noisy target in the denominator makes the result too dark. The root keeps outliers from taking
-    over (Huber).
+    For x near r it is SMAPE. Far above, where a kernel lets a lamp shine into the dark pixels
+    beside it, SMAPE's slope dies off as r / x², this one's as 1 / x: in terms of a kernel's logit,
+    whose effect grows as x, the pull away from the lamp stays.
     """
-    size = x.detach().mean(1, keepdim=True) ** 2 + EPSILON
-    return torch.sqrt(1 + ((x - r) ** 2 / size).mean(1, keepdim=True)) - 1
+    ratio = (x.clamp_min(0) + EPSILON) / (r.clamp_min(0) + EPSILON)
+    return 0.5 * torch.log(ratio).abs().mean(1, keepdim=True)
+
+
+def relative_square(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
+    """√(1 + e²) - 1 with e² = (x - r)² / (r̄² + σ² + ε): relMSE's square, without outliers' power.
+
+    σ² is the target's own variance over 5x5 pixels: a target that is dark by chance shall not
+    count as if it were sure (Lehtinen et al. 2018, sec. 3.3, divide by the output for that reason;
+    then what is far too bright costs no more than what is twice too bright).
+    """
+    variance = F.avg_pool2d(deviation**2, 5, 1, 2, count_include_pad=False)
+    size = r.mean(1, keepdim=True) ** 2 + variance + EPSILON
+    return torch.sqrt(1 + ((x - r) ** 2).mean(1, keepdim=True) / size) - 1
 
 
 def unbiased(x: Tensor, r: Tensor) -> Tensor:
@@ -78,12 +90,12 @@ def denoising(
     weight = trust(r, deviation)
     weight = weight / weight.mean((1, 2, 3), keepdim=True)
     own = weight * asymmetric(x, r, c, preference)
-    wide = smape(F.avg_pool2d(x, 4), F.avg_pool2d(r, 4))
+    wide = logarithmic(F.avg_pool2d(x, 4), F.avg_pool2d(r, 4))
     terms = {
-        "smape": (own * smape(x, r)).mean(),
-        "square": (own * relative_square(x, r)).mean(),
+        "log": (own * logarithmic(x, r)).mean(),
+        "square": (own * relative_square(x, r, deviation)).mean(),
         "gradient": (weight * gradient(x, r)).mean(),
         "wide": wide.mean(),
     }
-    total = terms["smape"] + 0.5 * terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
+    total = terms["log"] + terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
     return total, terms
