@@ -23,7 +23,7 @@ import numpy as np
 from lambent.denoise import prepare, runtime
 from lambent.denoise.model_file import ModelFile, find_model, read_model
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role
@@ -44,8 +44,8 @@ class Lambent(Denoiser):
 
     ``preference``: 0 asks for the least error; towards 1 for keeping what might be detail, and
     with it some noise. ``weights``: another model file, such as `lambent train` makes.
-    ``precision``: ``"f32"`` computes what is not int8 in float32. ``device``, ``threads``: where
-    it runs.
+    ``precision``: ``"f32"`` computes what is not int8 in float32. ``threads``: of the network.
+    It runs on the processor.
     """
 
     about: ClassVar[About] = About(
@@ -63,7 +63,6 @@ class Lambent(Denoiser):
     preference: float = 0.0
     weights: str | None = None
     precision: Literal["auto", "f32"] = "auto"
-    device: Device = "auto"
     threads: int | None = None
     _whole: prepare.Whole | None = field(default=None, repr=False, compare=False)
 
@@ -129,17 +128,15 @@ class Lambent(Denoiser):
         with runtime.network(self.model(), self.precision, self.threads) as network:
             space = network.workspace
             memory = network.input(prepare.packed_shape(given))
-            logits = network(
-                prepare.packed_inputs(given, whole, self.preference, self.device, memory)
-            )
+            logits = network(prepare.packed_inputs(given, whole, self.preference, "cpu", memory))
             for first in range(0, len(images), _AT_ONCE):
                 some = list(images[first : first + _AT_ONCE])
                 by = list(divided[first : first + _AT_ONCE])
-                level = prepare.split(given, some, by, self.device, space)
-                level = filter_planes(logits, level, self.device, space)
+                level = prepare.split(given, some, by, "cpu", space)
+                level = filter_planes(logits, level, "cpu", space)
                 channels = [image.shape[2] for image in some]
                 gate = logits[0][_GATE:]
-                results += prepare.merged(given, level, gate, channels, by, self.device)
+                results += prepare.merged(given, level, gate, channels, by, "cpu")
         return results
 
 

@@ -243,6 +243,8 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
             same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
+    if settings.device == "cuda" and "device" not in parameters(settings.model):
+        repaired = repaired.noted(f"the model '{settings.model}' runs on the processor only")
     denoiser, share = denoiser.at_strength(settings.strength)
     if settings.threads is not None and "threads" not in parameters(settings.model):
         _limit_drjit(settings)

@@ -124,10 +124,13 @@ def _curve(curves: Mapping[str, Sequence[tuple[int, float]]]) -> str:
         line = " ".join(f"{a:.1f},{b:.1f}" for a, b in there)
         marks.append(f'<polyline points="{line}"/>')
         ends.append((there[-1][1], name))
-    last = -99.0
-    for y, name in sorted(ends):  # names do not lie on one another
-        last = max(y, last + 14)
-        marks.append(f'<text x="{width - right + 6}" y="{last + 4:.1f}">{escape(name)}</text>')
+    places: list[float] = []
+    for y, _ in sorted(ends):  # names do not lie on one another
+        places.append(max(y, places[-1] + 14) if places else y)
+    lift = max(0.0, places[-1] - (height - 8)) if places else 0.0
+    for y, (_, name) in zip(places, sorted(ends), strict=True):
+        x, y = width - right + 6, y - lift + 4
+        marks.append(f'<text x="{x}" y="{y:.1f}">{escape(name)}</text>')
     return (
         f'<svg class="curve" viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(", ".join(curves))} over steps">{"".join(marks)}</svg>'
