@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -119,15 +119,15 @@ def _made(
 ) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     if not todo:
         return
-    count = workers or os.cpu_count() or 1
-    pieces = [(folder, home, todo[i : i + 32]) for i in range(0, len(todo), 32)]
-    if count == 1:
-        for piece in pieces:
-            yield from _unpack(piece)
-        return
-    with ProcessPoolExecutor(count) as pool:
-        for part in pool.map(_unpack, pieces):
-            yield from part
+    pieces = [(folder, home, todo[i : i + 8]) for i in range(0, len(todo), 8)]
+    # threads, since a process with PyTorch's and Dr.Jit's threads must not fork; unpacking is
+    # mostly done outside the interpreter
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        try:
+            for part in pool.map(_unpack, pieces):
+                yield from part
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 def _unpack(job: tuple[Path, Path, list[int]]) -> list[tuple[str, list[dict[str, Any]]]]:

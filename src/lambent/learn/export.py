@@ -7,9 +7,12 @@ fine-tuning can begin with a shipped model.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import logging
 import tempfile
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -37,6 +40,15 @@ def export(
     ``examples``: packed inputs ``(CHANNELS, H/2, W/2)`` to find the ranges of activations from;
     None leaves the network in float. Raises `OutputError`.
     """
+    # NNCF and the converter talk to standard output, which holds results alone
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        network, weights = _converted(model, examples)
+    write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
+
+
+def _converted(model: nn.Module, examples: Iterable[FloatImage] | None) -> tuple[bytes, bytes]:
+    """The network and its weights as OpenVINO writes them."""
     import openvino as ov
 
     model = model.eval().to("cpu")
@@ -56,8 +68,7 @@ def export(
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "network.xml"
         ov.save_model(graph, place, compress_to_fp16=False)
-        network, weights = place.read_bytes(), place.with_suffix(".bin").read_bytes()
-    write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
+        return place.read_bytes(), place.with_suffix(".bin").read_bytes()
 
 
 def export_run(run: Run, task: Any, path: Path, overwrite: bool = False) -> dict[str, Any]:
