@@ -25,6 +25,8 @@ from lambent.learn.cache import Cached
 SPLATTED = 0.2
 #: Share of the frames that are trained for least error (preference 0).
 NEUTRAL = 0.5
+#: Samples from which on all are in one bin.
+HIGHEST = 64
 #: Share of the examples whose levels are put together.
 MERGED = 0.4
 
@@ -51,8 +53,8 @@ class Sampler:
     """Draws levels of stills so that the number of samples is spread over its range.
 
     The data have many crops of few samples and few of many. A bin of log2(spp) is drawn with a
-    weight proportional to the square root of what is in it: rare ones more often, but not until
-    they are known by heart.
+    weight proportional to the fourth root of what is in it: the rare ones nearly as often as the
+    others. From `HIGHEST` on all is one bin, so that a handful of crops is not learned by heart.
     """
 
     def __init__(self, stills: Sequence[Cached]) -> None:
@@ -60,9 +62,10 @@ class Sampler:
         bins: dict[int, list[tuple[int, int]]] = {}
         for i, still in enumerate(stills):
             for k, spp in enumerate(still.spp):
-                bins.setdefault(int(np.log2(max(spp, 1))), []).append((i, k))
+                spp = min(max(spp, 1), HIGHEST)
+                bins.setdefault(int(np.log2(spp)), []).append((i, k))
         self._bins = [bins[b] for b in sorted(bins)]
-        weights = np.sqrt([len(b) for b in self._bins])
+        weights = np.array([len(b) for b in self._bins]) ** 0.25
         self._weights = weights / weights.sum()
 
     def draw(self, rng: np.random.Generator) -> Example:
