@@ -55,7 +55,8 @@ paints = [
     material("velvet", **{"Base Color": (0.02, 0.02, 0.1, 1), "Sheen Weight": 1.0,
                           "Sheen Roughness": 0.4}),
 ]
-floor = material("floor", **{"Base Color": (0.03, 0.03, 0.03, 1), "Metallic": 0.7, "Roughness": 0.2})
+dark = {"Base Color": (0.03, 0.03, 0.03, 1), "Metallic": 0.7, "Roughness": 0.2}
+floor = material("floor", **dark)
 bpy.ops.mesh.primitive_plane_add(size=40)
 bpy.context.object.data.materials.append(floor)
 for n in range(60):

@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "denoise": "lambent.denoise",  # the package, which can be called; see its docstring
     "render": "lambent.render",  # likewise
+    "train": "lambent.learn.train",
     "read": "lambent.frame.files",
     "write": "lambent.frame.files",
     "Frame": "lambent.frame.frame",
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from lambent.frame.layer import Layer
     from lambent.frame.role import Role, Space, Stat
     from lambent.frame.sequence import Sequence
+    from lambent.learn.train import train
     from lambent.metrics.compare import compare
     from lambent.render.job import render
 

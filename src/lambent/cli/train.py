@@ -70,8 +70,9 @@ def train(
 
     try:
         from lambent.learn.finetune import finetune
-        from lambent.learn.loop import train as train_run
         from lambent.learn.loop import use_threads
+        from lambent.learn.train import run_folder
+        from lambent.learn.train import train as run_training
     except ImportError as error:
         if (error.name or "").split(".")[0] != "torch":
             raise
@@ -80,8 +81,6 @@ def train(
             remedy="pip install 'lambent[train]'",
         ) from error
     from lambent.learn.recipe import load_train_recipe
-    from lambent.learn.tasks import TASKS
-    from lambent.startup import cache_folder
 
     if output is not None:
         check_target(output, overwrite)
@@ -102,29 +101,22 @@ def train(
     if recipe is None:
         raise OptionError("a recipe is missing", remedy="lambent train RECIPE.toml, or --data")
     chosen = load_train_recipe(recipe)
-    folder = run if run is not None else cache_folder() / "runs" / chosen.name
+
+    def page(it: Run, running: bool = True) -> None:
+        if report is not None:
+            _write_page(report, it, chosen, running)
+
     with Progress(chosen.name, quiet=as_json) as progress:
-        task = TASKS[chosen.task](chosen, cache_folder() / "training", progress.report)
-
-        def page(it: Run) -> None:
-            if report is not None:
-                _write_page(report, it, chosen, running=True)
-
         try:
-            done = train_run(
-                chosen, task, folder, device,
-                start=_weights(start, chosen), steps=steps,
-                progress=progress.report, after_check=page,
+            done = run_training(
+                chosen, run, output=output, overwrite=overwrite, start=start, steps=steps,
+                device=device, progress=progress.report, after_check=page,
             )  # fmt: skip
         except KeyboardInterrupt:
-            print(f"stopped; the same command goes on. The run is in {folder}")
+            place = run if run is not None else run_folder(chosen)
+            print(f"stopped; the same command goes on. The run is in {place}")
             raise
-    if report is not None:
-        _write_page(report, done, chosen, running=False)
-    if output is not None:
-        from lambent.learn.export import export_run
-
-        export_run(done, task, output, overwrite)
+    page(done, running=False)
     checks = [line for line in done.lines() if "check" in line]
     best = min(checks, key=lambda line: line["check"]["score"]) if checks else None
     if as_json:
@@ -137,14 +129,6 @@ def train(
 
 
 # ------------------------------------------------------------------- private
-
-
-def _weights(start: str | None, recipe: TrainRecipe):  # type: ignore[no-untyped-def]
-    if start is None:
-        return None
-    from lambent.learn.export import float_weights
-
-    return float_weights(start)
 
 
 def _write_page(path: Path, run: Run, recipe: TrainRecipe, running: bool) -> None:

@@ -1,0 +1,59 @@
+"""The verb: a recipe in, a run out, and a model file where one is wanted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from lambent.frame.atomic import check_target
+from lambent.learn.export import export_run, float_weights
+from lambent.learn.loop import Progress, Run
+from lambent.learn.loop import train as run_loop
+from lambent.learn.recipe import TrainRecipe, load_train_recipe
+from lambent.learn.tasks import TASKS
+from lambent.startup import cache_folder
+
+
+def train(
+    recipe: str | os.PathLike[str] | TrainRecipe,
+    run: str | os.PathLike[str] | None = None,
+    *,
+    output: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    start: str | None = None,
+    steps: int | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+    after_check: Callable[[Run], None] | None = None,
+) -> Run:
+    """Train from a recipe (a TOML file or a `TrainRecipe`), or go on training.
+
+    ``run``: folder of the run (None: `run_folder`). ``output``: write the best weights as a model
+    file. ``start``: a model, by name or path, to begin with. ``steps``: stop after so many in all,
+    for now. ``after_check`` is called after each validation. Example::
+
+        run = lambent.train("recipes/denoiser.toml", output="mine.lambent")
+        run.lines()[-1]
+
+    Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.
+    """
+    chosen = recipe if isinstance(recipe, TrainRecipe) else load_train_recipe(recipe)
+    if output is not None:
+        check_target(output, overwrite)
+    make_task = TASKS[chosen.task]
+    task = make_task(chosen, cache_folder() / "training", progress)
+    folder = Path(run) if run is not None else run_folder(chosen)
+    weights = None if start is None else float_weights(start)
+    done = run_loop(
+        chosen, task, folder, device, start=weights, steps=steps,
+        progress=progress, after_check=after_check,
+    )  # fmt: skip
+    if output is not None:
+        export_run(done, task, Path(output), overwrite)
+    return done
+
+
+def run_folder(recipe: TrainRecipe) -> Path:
+    """``$LAMBENT_CACHE`` or ``~/.cache/lambent``, and in it ``runs/NAME``."""
+    return cache_folder() / "runs" / recipe.name
