@@ -17,7 +17,7 @@ import frames
 
 mi = frames.start_mitsuba()  # before anything imports Dr.Jit, which looks for LLVM only once
 
-import sampling  # noqa: E402
+import sampling
 
 
 def moments_of(samples):

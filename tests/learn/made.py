@@ -1,10 +1,22 @@
-"""Small noisy frames with known answers, for learning from."""
+"""Small noisy frames with known answers, for learning from; tests here need the extra ``train``."""
 
 import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
 
 from lambent.dataset.item import Still
 from lambent.frame.frame import Frame
 from lambent.learn import cache
+
+
+@pytest.fixture(autouse=True)
+def few_threads():
+    """Tests run in several processes: one thread each. Imported, it holds for a whole file."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 def frame(rng, spp, size=64, clean=None):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import made
 import numpy as np
 import pytest
+from made import few_threads  # noqa: F401
 
 from lambent.denoise.inputs import Signals, signals_of
 from lambent.learn import augment

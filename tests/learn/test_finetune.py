@@ -4,6 +4,7 @@ import made
 import numpy as np
 import pytest
 import torch
+from made import few_threads  # noqa: F401
 
 from lambent.denoise.model_file import read_model
 from lambent.errors import LayerError, OptionError

@@ -11,6 +11,7 @@ import made
 import numpy as np
 import pytest
 import torch
+from made import few_threads  # noqa: F401
 
 from lambent.errors import DamagedFileError, OptionError
 from lambent.learn import losses

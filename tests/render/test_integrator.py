@@ -11,13 +11,13 @@ from lambent.render.variant import mitsuba
 
 mi = mitsuba()
 
-import drjit as dr  # noqa: E402  (after LLVM was found)
+import drjit as dr
 
-import lambent  # noqa: E402
-import lambent.render.integrator  # noqa: E402  (registers the plug-in)
-from lambent.render.surface import describe  # noqa: E402
+import lambent
+import lambent.render.integrator
+from lambent.render.surface import describe
 
-from . import scenes  # noqa: E402
+from . import scenes
 
 
 def test_render_returns_all_channels_by_name():

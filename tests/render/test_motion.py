@@ -12,7 +12,7 @@ from lambent.render.variant import mitsuba
 
 mi = mitsuba()
 
-from lambent.render.animation import (  # noqa: E402  (needs a variant)
+from lambent.render.animation import (
     Keyframes,
     Pose,
     Stage,
@@ -20,9 +20,9 @@ from lambent.render.animation import (  # noqa: E402  (needs a variant)
     look_at,
     read_keyframes,
 )
-from lambent.render.sampling import FrameSampler  # noqa: E402
+from lambent.render.sampling import FrameSampler
 
-from . import scenes  # noqa: E402
+from . import scenes
 
 
 def animation(frame: float) -> Pose:

@@ -12,9 +12,9 @@ from lambent.render.variant import mitsuba
 # Not pytest.importorskip: Dr.Jit looks for LLVM when Mitsuba is imported, so that comes second.
 mi = mitsuba()
 
-from lambent.render.sampling import FrameSampler, Request  # noqa: E402  (needs a variant)
+from lambent.render.sampling import FrameSampler, Request
 
-from . import scenes  # noqa: E402
+from . import scenes
 
 #: Scene of the sums: every kind of light at once.
 SUMS = [("", False), ("", True), ("homogeneous", True), ("heterogeneous", False)]

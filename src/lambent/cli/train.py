@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lambent.learn.loop import Run
     from lambent.learn.recipe import TrainRecipe
 
-EPILOG = "Example: lambent train recipes/denoiser.toml --report training.html"
+EPILOG = "Example: lambent train recipes/train/denoiser.toml --report training.html"
 
 
 def train(

@@ -14,19 +14,16 @@ Every other key has the default below. Unknown keys are errors, answered with th
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import hashlib
-import importlib
 import json
 import os
-import sys
-import typing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lambent.dataset.validation import refuse_scene, refuse_seeds
 from lambent.errors import FileError, OptionError
+from lambent.settings import Range, check_ranges, read_toml, record_from
 
 #: A set may grow: these keys change how much there is, not what an item holds.
 GROWING = ("count", "clip_count")
@@ -82,14 +79,7 @@ class Recipe:
         for field in dataclasses.fields(self):
             if field.type == "float":
                 object.__setattr__(self, field.name, float(getattr(self, field.name)))
-        for name, low, high in _RANGES:
-            value = getattr(self, name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if not low <= number <= high:
-                    raise OptionError(
-                        f"{name} = {number} is out of range",
-                        remedy=f"take a value from {low} to {high}",
-                    )
+        check_ranges(self, _RANGES)
         if self.spp[0] > self.spp[1]:
             raise OptionError(f"spp = {list(self.spp)} is upside down", remedy="lowest first")
         if min(self.view) < self.crop:
@@ -119,30 +109,10 @@ class Recipe:
     @classmethod
     def from_dict(cls, settings: dict[str, Any], file: object = None) -> Recipe:
         """A recipe from keys and values. Raises `OptionError` for unknown keys and wrong types."""
-        kinds = typing.get_type_hints(cls)
-        ready = {}
-        for key, value in settings.items():
-            if key not in kinds:
-                near = difflib.get_close_matches(key, kinds, n=1, cutoff=0.4)
-                known = f"known: {', '.join(kinds)}"
-                raise OptionError(
-                    f"a recipe has no key '{key}'",
-                    file=file,
-                    remedy=f"did you mean '{near[0]}'? ({known})" if near else known,
-                )
-            ready[key] = _typed(key, value, kinds[key], file)
-        for key in ("name", "seed"):
-            if key not in ready:
-                raise OptionError(
-                    f"the recipe has no '{key}'", file=file, remedy=f"add a line: {key} = …"
-                )
-        try:
-            return cls(**ready)
-        except OptionError as error:
-            raise OptionError(error.message, file=file, remedy=error.remedy) from None
+        return record_from(cls, settings, (), file, required=("name", "seed"))
 
 
-_RANGES: tuple[tuple[str, float, float], ...] = (
+_RANGES: tuple[Range, ...] = (
     ("seed", 0, 2**31 - 1),
     ("count", 0, 10_000_000),
     ("clip_count", 0, 10_000_000),
@@ -177,18 +147,8 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
     Raises `FileError` (missing, no TOML), `OptionError` (unknown key, value that makes no sense,
     a validation scene).
     """
-    tomllib = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
     path = Path(path)
-    try:
-        settings = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError("there is no such recipe", file=path, remedy="name a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"cannot be read: {error}", file=path, remedy="name a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(
-            f"is no TOML: {error}", file=path, remedy="one 'key = value' a line, texts in quotes"
-        ) from None
+    settings = read_toml(path)
     recipe = Recipe.from_dict(settings, path)
     found = []
     for scene in recipe.scenes:
@@ -204,19 +164,3 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
         refuse_scene(place, path)
         found.append(str(place.resolve()))
     return dataclasses.replace(recipe, scenes=tuple(found))
-
-
-def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
-    """The value in the type of its field."""
-    if typing.get_origin(kind) is tuple:
-        inner = typing.get_args(kind)
-        if isinstance(value, (list, tuple)) and (inner[-1] is ... or len(value) == len(inner)):
-            return tuple(_typed(key, v, inner[0], file) for v in value)
-        wanted = "a list" if inner[-1] is ... else f"a list of {len(inner)}"
-        raise OptionError(f"{key} = {value!r} should be {wanted}", file=file, remedy="see the docs")
-    good = isinstance(value, (int, float) if kind is float else kind)
-    if not good or (isinstance(value, bool) and kind is not bool):
-        words = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
-        word = words[kind]
-        raise OptionError(f"{key} = {value!r} should be {word}", file=file, remedy="see the docs")
-    return kind(value)

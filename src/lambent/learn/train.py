@@ -33,7 +33,7 @@ def train(
     file. ``start``: a model, by name or path, to begin with. ``steps``: stop after so many in all,
     for now. ``after_check`` is called after each validation. Example::
 
-        run = lambent.train("recipes/denoiser.toml", output="mine.lambent")
+        run = lambent.train("recipes/train/denoiser.toml", output="mine.lambent")
         run.lines()[-1]
 
     Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.

@@ -7,7 +7,7 @@ import pytest
 from lambent.errors import FileError, OptionError
 from lambent.learn.recipe import load_train_recipe
 
-RECIPES = Path(__file__).resolve().parents[2] / "recipes"
+RECIPES = Path(__file__).resolve().parents[2] / "recipes" / "train"
 
 
 def written(folder, text):
@@ -46,6 +46,6 @@ def test_folders_count_from_the_recipe(tmp_path):
     assert recipe.data == (str(tmp_path / "sets" / "a"),)
 
 
-@pytest.mark.parametrize("path", sorted(RECIPES.glob("denoiser*.toml")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda p: p.stem)
 def test_our_own_recipes_load(path):
     assert load_train_recipe(path).steps > 1000
