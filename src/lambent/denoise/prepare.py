@@ -208,7 +208,7 @@ def split(
     """Images ``(H, W, 1 or 3)`` as planes for the filter.
 
     Where ``divided``, an image gives its planes divided by the albedo, then its own; else only its
-    own. Without an albedo nothing is divided.
+    own. Without an albedo nothing is divided. What is not finite counts as 0.
     """
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
@@ -232,6 +232,7 @@ def split(
         channels = image.shape[2]
         flat = module.Float(np.ascontiguousarray(image, np.float32).reshape(-1))
         values = [dr.gather(module.Float, flat, index * channels + c) for c in range(channels)]
+        values = [dr.select(dr.isfinite(v), v, 0) for v in values]  # or it would spread
         if wanted and d is not None:
             for c, value in enumerate(values):
                 own = d[c] if channels == 3 else (d[0] + d[1] + d[2]) / 3
