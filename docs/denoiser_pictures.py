@@ -2,9 +2,9 @@
 
     python docs/denoiser_pictures.py [--cache DIR]
 
-From the frames of ``benchmarks/denoise_frames.py`` (CC0 scenes only): ``denoiser.jpg``, what it does at
-4 samples a pixel, with the error of each; ``denoiser_splat.jpg``, the same for a file whose renderer
-splats its samples.
+From the frames of ``benchmarks/denoise_frames.py`` (CC0 scenes only): ``denoiser.jpg``, what it does
+at 4 samples a pixel, with the error of each; ``denoiser_splat.jpg``, the same for files whose
+renderer splats its samples.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.relmse import TRIM, relmse
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))
-from frames import default_cache  # noqa: E402
+from frames import default_cache
 
 MODELS = ("oidn", "lambent")
 #: Width and height of what is shown, in the middle of a frame.
