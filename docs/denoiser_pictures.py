@@ -2,7 +2,7 @@
 
     python docs/denoiser_pictures.py [--cache DIR]
 
-From the frames of ``benchmarks/denoise_frames.py`` (CC0 scenes only): ``denoiser.jpg``, what it does
+From the frames of ``benchmarks/denoise_frames.py`` (CC0 scenes): ``denoiser.jpg``, what it does
 at 4 samples a pixel, with the error of each; ``denoiser_splat.jpg``, the same for files whose
 renderer splats its samples.
 """
