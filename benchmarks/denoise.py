@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import subprocess
 import sys
 import time
@@ -83,7 +84,8 @@ def quality(models: list[str], cache: Path, levels: list[int]) -> list[Row]:
                     continue
                 jobs.append(({**about, "model": model}, image, reference))
         print(f"{path.name} denoised", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor() as pool:
+    # fresh processes: a fork of one with the engines' threads would wait for ever
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         found = pool.map(measured, [j[1] for j in jobs], [j[2] for j in jobs])
         return [{**row, **errors} for (row, _, _), errors in zip(jobs, found, strict=True)]
 
