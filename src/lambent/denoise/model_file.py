@@ -4,7 +4,7 @@ The file is a ZIP archive (``.lambent``)::
 
     card.json      what the model is: name, size, the version of its inputs (`inputs.VERSION`),
                    how it was trained on what, its scores, and the SHA-256 of the other members
-    network.xml    the network as OpenVINO reads it, int8
+    network.xml    the network as OpenVINO reads it
     network.bin    its weights
 
 `read_model` checks everything before anything is used. The weights of the float network, which

@@ -2,7 +2,7 @@
 
 `network` compiles a model for this machine and keeps it for the process; what OpenVINO compiles is
 cached on disk (``$LAMBENT_CACHE`` or ``~/.cache/lambent``, folder ``compiled``), so that the next
-process starts with it. The network takes frames of any size. Its convolutions are int8; what is
+process starts with it. The network takes frames of any size. Convolutions may be int8; what is
 between them is computed in the processor's own short type (bfloat16 where it has matrix units for
 it), or in float32.
 

@@ -34,8 +34,9 @@ def export(
     card: Mapping[str, Any],
     examples: Iterable[FloatImage] | None,
     overwrite: bool = False,
+    half: bool = False,
 ) -> None:
-    """Write ``model`` as a model file.
+    """Write ``model`` as a model file; ``half``: its weights in half floats.
 
     ``examples``: packed inputs ``(CHANNELS, H/2, W/2)`` to find the ranges of activations from;
     None leaves the network in float. Raises `OutputError`.
@@ -43,11 +44,13 @@ def export(
     # NNCF and the converter talk to standard output, which holds results alone
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        network, weights = _converted(model, examples)
+        network, weights = _converted(model, examples, half)
     write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
 
 
-def _converted(model: nn.Module, examples: Iterable[FloatImage] | None) -> tuple[bytes, bytes]:
+def _converted(
+    model: nn.Module, examples: Iterable[FloatImage] | None, half: bool
+) -> tuple[bytes, bytes]:
     """The network and its weights as OpenVINO writes them."""
     import openvino as ov
 
@@ -67,14 +70,17 @@ def _converted(model: nn.Module, examples: Iterable[FloatImage] | None) -> tuple
         )
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "network.xml"
-        ov.save_model(graph, place, compress_to_fp16=False)
+        ov.save_model(graph, place, compress_to_fp16=half)
         return place.read_bytes(), place.with_suffix(".bin").read_bytes()
 
 
-def export_run(run: Run, task: Any, path: Path, overwrite: bool = False) -> dict[str, Any]:
-    """The best weights of a run as a model file, int8; its card.
+def export_run(
+    run: Run, task: Any, path: Path, overwrite: bool = False, int8: bool = False
+) -> dict[str, Any]:
+    """The best weights of a run as a model file, in half floats or int8; its card.
 
-    What int8 costs is measured with the task's own score, in the engine that will run it.
+    int8 by measuring alone costs up to half of the error again (docs/denoiser.md): the network has
+    to be trained on in int8 before that is worth its speed.
     """
     model = task.network()
     model.load_state_dict(run.weights())
@@ -92,7 +98,8 @@ def export_run(run: Run, task: Any, path: Path, overwrite: bool = False) -> dict
         "curve": [[ln["step"], ln["check"]["score"]] for ln in run.lines() if "check" in ln],
         "data": task.about_data(),
     }
-    export(model, path, card, task.calibration(), overwrite)
+    examples = task.calibration() if int8 else None
+    export(model, path, card, examples, overwrite, half=not int8)
     return card
 
 

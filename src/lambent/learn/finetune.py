@@ -101,7 +101,7 @@ def finetune(
         "finetuned_on": {"frames": len(paths), "pairs": len(pairs), "steps": steps},
         "finetuned_error": [before, after],
     }
-    export(model, output, card, [task.row(0, n).packed for n in range(32)], overwrite)
+    export(model, output, card, None, overwrite, half=True)
     return {"before": before, "after": after, "steps": float(steps), "seconds": float(seconds)}
 
 
