@@ -138,9 +138,15 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     score = card.get("score", {})
     return [
-        ("trained on", ", ".join(sets)),
-        ("for", f"{card.get('step', '?')} steps, {card.get('hours', '?')} h"),
-        ("score", f"{score['score']:.3f} of OIDN High's error, held-out crops" if score else ""),
+        ("data", ", ".join(sets)),
+        ("trained", f"{card.get('step', '?')} steps, {card.get('hours', '?')} h"),
+        ("fails", "; ".join(card.get("known_failures", ()))),
+        (
+            "score",
+            f"{score['score']:.3f} of OIDN High's error on held-out crops of its own data"
+            if score
+            else "",
+        ),
     ]
 
 

@@ -62,6 +62,13 @@ class Batch:
         )
 
 
+def cleaned(model: nn.Module, b: Batch) -> Tensor:
+    """What a network makes of a batch ``(B, 3, H, W)``: in bf16, the filter in float32."""
+    with torch.autocast(b.packed.device.type, torch.bfloat16):
+        outputs = model(b.packed)
+    return denoised(outputs, b.colour, b.divisor)
+
+
 def denoising_task(
     recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
 ) -> DenoisingTask:
@@ -113,9 +120,7 @@ class DenoisingTask:
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
         b = Batch.of(batch, device)
-        with torch.autocast(device.type, torch.bfloat16):
-            outputs = model(b.packed)
-        x = denoised(outputs, b.colour, b.divisor)
+        x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
 
     def calibration(self) -> list[FloatImage]:
@@ -156,9 +161,7 @@ class DenoisingTask:
             for example, spp in self.checked:
                 r = ready(_only(example, subset), 0.0, spp)
                 b = Batch.of([r], device)
-                with torch.autocast(device.type, torch.bfloat16):
-                    outputs = model(b.packed)
-                x = denoised(outputs, b.colour, b.divisor)[0].float().cpu().numpy()
+                x = cleaned(model, b)[0].float().cpu().numpy()
                 errors.append(_errors(x, example))
                 if subset == "full" and len(pictures) < 8:
                     row = [example.noisy.colour, x, example.target]

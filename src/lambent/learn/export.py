@@ -1,7 +1,7 @@
-"""A trained network as a model file: quantised to int8 and checked against PyTorch.
+"""A trained network as a model file, in half floats or int8.
 
-`export` inserts what NNCF measures on training crops (post-training quantisation: symmetric
-weights a channel, activations a tensor) and writes the file; `float_weights` reads it back, so that
+For int8 `export` inserts what NNCF measures on training crops (post-training quantisation:
+symmetric weights a channel, activations a tensor); `float_weights` reads it back, so that
 fine-tuning can begin with a shipped model.
 """
 
@@ -106,7 +106,7 @@ def export_run(
 def float_weights(model: str) -> dict[str, torch.Tensor]:
     """The weights of a model file as float tensors, by the names of `networks.lambent`.
 
-    Each is its int8 number times its channel's scale: what the int8 network computes with.
+    Of an int8 model, each is its number times its channel's scale: what the network computes with.
     Raises `FileError`.
     """
     import openvino as ov

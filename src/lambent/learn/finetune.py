@@ -33,10 +33,10 @@ from lambent.kernels.oidn import exposure
 from lambent.learn import losses
 from lambent.learn.augment import Example, recoloured, turned
 from lambent.learn.batches import Row, ahead, ready
-from lambent.learn.denoising import Batch
+from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
 from lambent.learn.loop import train
-from lambent.learn.networks.lambent import LambentNet, denoised
+from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.recipe import TrainRecipe
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
@@ -186,9 +186,7 @@ class FinetuneTask:
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The training loss, or the squared error where targets are halves."""
         b = Batch.of(batch, device)
-        with torch.autocast(device.type, torch.bfloat16):
-            outputs = model(b.packed)
-        x = denoised(outputs, b.colour, b.divisor)
+        x = cleaned(model, b)
         if batch[0].noisy_target:
             total = losses.unbiased(x, b.target)
             return total, {}
@@ -201,9 +199,7 @@ class FinetuneTask:
         for n, y, x in self._held:
             pair = self.pairs[n]
             b = Batch.of([ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))], device)
-            with torch.autocast(device.type, torch.bfloat16):
-                outputs = model(b.packed)
-            out = denoised(outputs, b.colour, b.divisor)
+            out = cleaned(model, b)
             if pair.noisy_target:
                 errors.append(float(losses.unbiased(out, b.target)))
             else:

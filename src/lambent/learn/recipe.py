@@ -30,8 +30,7 @@ class TrainRecipe:
     learning rate, reached after ``warmup`` steps, which then falls along a cosine to ``last_rate``
     times it. ``decay``: of the running mean of the weights. ``held_out``: share of the scenes that
     are never trained on. ``check_every``: steps from one validation to the next. ``clip``: largest
-    norm of a gradient. ``size``: of the network. ``quantised``: from this share of the run on, the
-    network computes as it will in int8.
+    norm of a gradient. ``size``: of the network.
     """
 
     name: str
