@@ -136,7 +136,7 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
         f"({'; '.join(one['licences'])})"
         for one in card.get("data", ())
     ]
-    score, where = card.get("score", {}), " on held-out crops of its own data"
+    score = card.get("score", {})
     return [
         ("data", ", ".join(sets)),
         ("trained", f"{card.get('step', '?')} steps, {card.get('hours', '?')} h"),
