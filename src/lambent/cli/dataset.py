@@ -51,6 +51,15 @@ def make(
     clips: Annotated[
         int | None, typer.Option("--clips", metavar="N", help="Clips, instead of the recipe's.")
     ] = None,
+    first: Annotated[
+        int,
+        typer.Option(
+            "--first", metavar="N", help="Number of the first crop; those below are made elsewhere."
+        ),
+    ] = 0,
+    first_clip: Annotated[
+        int, typer.Option("--first-clip", metavar="N", help="The same of clips.")
+    ] = 0,
     processes: Annotated[
         int,
         typer.Option(
@@ -107,6 +116,8 @@ def make(
                 device=device,
                 seconds=seconds,
                 trust=trust,
+                first=first,
+                first_clip=first_clip,
                 progress=progress.report,
             )
         except KeyboardInterrupt:

@@ -20,7 +20,7 @@ from lambent.dataset import workers
 from lambent.dataset.check import Report, _silent, missing_items, settle
 from lambent.dataset.folder import add_item, begin, line_of, write_lines, writing
 from lambent.dataset.phases import Phases
-from lambent.dataset.plan import jobs
+from lambent.dataset.plan import CLIP, STILL, jobs
 from lambent.dataset.produce import Failed, Made
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
@@ -76,9 +76,14 @@ def make(
     device: str = "auto",
     seconds: float | None = None,
     trust: bool = False,
+    first: int = 0,
+    first_clip: int = 0,
     progress: Report = _silent,
 ) -> Outcome:
     """Make the items of a set that are missing. Returns what was done.
+
+    ``first``, ``first_clip``: the numbers from which on they are wanted; those below are made
+    elsewhere, or by another call. An item is the same whoever makes it.
 
     ``cluster``: the address of a Ray cluster, ``"auto"`` or ``"local"``; then ``processes`` workers
     there (0: one for two processors). ``seconds``: stop after the item at hand when they are over.
@@ -88,6 +93,8 @@ def make(
     place = Path(folder) if folder is not None else default_folder(recipe)
     if recipe.count + recipe.clip_count == 0:
         raise OptionError("the recipe asks for no items", remedy="give --count or --clips")
+    if first < 0 or first_clip < 0:
+        raise OptionError("items are numbered from 0", remedy="give --first 0 or more")
     if cluster is None and not 1 <= processes <= 256:
         raise OptionError(f"--processes {processes} makes no sense", remedy="take 1 or more")
     start = time.monotonic()
@@ -96,9 +103,14 @@ def make(
         begin(place, recipe, _facts(recipe, device))
         lines, outcome.notes = settle(place, recipe, trust, progress)
         write_lines(place, lines)
-        missing = missing_items(recipe, lines)
+        lowest = {STILL: first, CLIP: first_clip}
+        missing = {
+            what: {i for i in numbers if i >= lowest[what]}
+            for what, numbers in missing_items(recipe, lines).items()
+        }
         outcome.left = sum(map(len, missing.values()))
-        outcome.before = recipe.count + recipe.clip_count - outcome.left
+        wanted = max(0, recipe.count - first) + max(0, recipe.clip_count - first_clip)
+        outcome.before = wanted - outcome.left
         if not outcome.left:
             return outcome
         phases = Phases()

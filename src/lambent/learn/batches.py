@@ -19,6 +19,7 @@ import numpy as np
 from lambent.denoise.inputs import constants, divisor, encode, pack
 from lambent.frame.layer import FloatImage
 from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
+from lambent.learn import lamps
 from lambent.learn.cache import Cached
 
 #: Share of the frames that get a splatted pixel filter.
@@ -83,6 +84,8 @@ def row(sampler: Sampler, seed: int, step: int, number: int) -> Row:
     """Row ``number`` of the batch of ``step``."""
     rng = np.random.default_rng((seed, step, number))
     example = turned(sampler.draw(rng), rng)
+    if rng.random() < lamps.SHARE:
+        example = lamps.lit(example, rng)
     spp = float(example.noisy.spp or 1)
     if rng.random() < SPLATTED:
         example = filtered(example, rng)

@@ -18,7 +18,7 @@ from lambent.errors import OptionError
 from lambent.filters.denoiser import create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.learn import losses
+from lambent.learn import lamps, losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import Row, Sampler, batches, ready, row
 from lambent.learn.cache import Cached, cached
@@ -151,6 +151,7 @@ class DenoisingTask:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 
         ``score``: geometric mean of the ratios of trimmed relMSE and of SMAPE over the subsets.
+        ``lamps``: the share of their light that small lamps put into the crops keep.
         """
         if self._yardstick is None:
             self._yardstick = self._oidn()
@@ -168,6 +169,7 @@ class DenoisingTask:
                     name = f"{spp:g} spp"
                     pictures[f"{len(pictures)}: {name}"] = np.concatenate(row, 2).transpose(1, 2, 0)
             _put(found, subset, errors)
+        found["lamps"] = self._lamps_kept(model, device)
         ratios = [
             found[f"{subset} {what}"] / self._yardstick[f"{subset} {what}"]
             for subset in SUBSETS
@@ -177,6 +179,21 @@ class DenoisingTask:
         found.update(dict(zip(names, ratios, strict=True)))
         found["score"] = float(np.exp(np.mean(np.log(ratios))))
         return found, pictures
+
+    def _lamps_kept(self, model: nn.Module, device: torch.device) -> float:
+        """Mean over lamps of kept light, more than all of it counted as all, for every subset."""
+        kept = []
+        for number, (example, spp) in enumerate(self.checked):
+            rng = np.random.default_rng(number)
+            lamp = lamps.draw(example.target.shape[1:], rng)
+            lit = lamps.add(example, lamp, rng)
+            hit = lit.noisy.colour.mean(0) > 0.5 * lamp.radiance.mean()
+            if not hit.any():
+                continue
+            r = ready(_only(lit, list(SUBSETS)[number % len(SUBSETS)]), 0.0, spp)
+            x = cleaned(model, Batch.of([r], device))[0].float().cpu().numpy()
+            kept.append(min(1.0, float(x[:, hit].sum() / lit.noisy.colour[:, hit].sum())))
+        return float(np.mean(kept)) if kept else 1.0
 
     def _oidn(self) -> dict[str, float]:
         """The same errors of OIDN, which gets the albedo and normal where the subset has them."""

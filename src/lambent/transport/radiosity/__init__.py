@@ -1,0 +1,7 @@
+"""Radiosity (Goral et al. 1984): B = E + ρ F B on patches, on any Mitsuba scene.
+
+In the order in which they are used: `patches` cuts the surfaces, `factors` (pairs of polygons) and
+`casting` (rays) find the form factors F, `balance` makes them reciprocal and their rows complete,
+`solvers` solve, `adaptive` decides where to cut finer, `smooth` interpolates, `integrator` shows
+the result in Mitsuba, `export` writes it for others. `solution` holds it all together.
+"""
