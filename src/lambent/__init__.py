@@ -15,6 +15,8 @@ __version__ = "0.1.0"
 _PUBLIC = {
     "denoise": "lambent.denoise",  # the package, which can be called; see its docstring
     "render": "lambent.render",  # likewise
+    "solve": "lambent.transport.solve",
+    "open_solution": "lambent.transport.solution",
     "train": "lambent.learn.train",
     "read": "lambent.frame.files",
     "write": "lambent.frame.files",
@@ -46,6 +48,8 @@ if TYPE_CHECKING:
     from lambent.learn.train import train
     from lambent.metrics.compare import compare
     from lambent.render.job import render
+    from lambent.transport.solution import open_solution
+    from lambent.transport.solve import solve
 
 
 def __getattr__(name: str) -> Any:

@@ -30,6 +30,8 @@ COMMANDS = {
     "explain": "Show the weights with which a filter averages around one pixel.",
     "train": "Train a denoiser, or fine-tune one to your own renders.",
     "render": "Render a Mitsuba scene or a .blend, with every feature.",
+    "solve": "Solve the light of a scene once, by radiosity.",
+    "view": "Look at a solved scene: pictures, films, meshes, lightmaps.",
     "models": "List the denoisers: what they need, cost, and which paper they are from.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
 }

@@ -103,6 +103,17 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
+def point_of(option: str, text: str | None) -> tuple[float, float, float] | None:
+    """``"1,2.5,-3"`` to three numbers. Raises `OptionError`."""
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise OptionError(f"{option} '{text}' is no point", remedy=f"write {option} 1,2,3") from None
+    return x, y, z
+
+
 def definitions(texts: Iterable[str] | None) -> dict[str, str]:
     """``["resx=320", …]`` to a table. Raises `OptionError`."""
     found = {}

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lambent.report.curve import curve
 from lambent.report.page import build, escape, picture, save, table
 
 #: Seconds after which the page of a running training loads itself again.
@@ -59,7 +60,7 @@ def training_page(
     terms = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts)
     body = f'{reload}<section><dl class="facts">{terms}</dl></section>'
     if len(losses) > 1:
-        body += f"<section><h2>Loss</h2>{_curve({'loss': losses})}</section>"
+        body += f"<section><h2>Loss</h2>{curve({'loss': losses})}</section>"
     if checks:
         ratios = sorted({key for _, check in checks for key in check if key.endswith("/oidn")})
         curves = {
@@ -68,7 +69,7 @@ def training_page(
         }
         if len(checks) > 1:
             words = "Errors on held-out data, as ratios to OIDN's where the name says so"
-            body += f"<section><h2>{words}</h2>{_curve(curves)}</section>"
+            body += f"<section><h2>{words}</h2>{curve(curves)}</section>"
         body += f"<section><h2>Validation</h2>{_table(checks)}</section>"
     if pictures:
         shown = "".join(
@@ -90,48 +91,3 @@ def _table(checks: Sequence[tuple[int, Mapping[str, float]]]) -> str:
         for step, check in checks[-12:]
     ]
     return table(["step", *map(escape, names)], rows, caption="Validation scores")
-
-
-def _curve(curves: Mapping[str, Sequence[tuple[int, float]]]) -> str:
-    """Curves over the step as SVG; values logarithmic; names at their ends."""
-    width, height, left, right, bottom = 640, 260, 56, 132, 30
-    points = [p for curve in curves.values() for p in curve if p[1] > 0]
-    x1 = max(max(x for x, _ in points), 1)
-    ys = [math.log10(y) for _, y in points]
-    y0, y1 = min(ys), max(max(ys), min(ys) + 0.05)
-
-    def at(x: float, y: float) -> tuple[float, float]:
-        return (
-            left + x / x1 * (width - left - right),
-            12 + (y1 - y) / (y1 - y0) * (height - bottom - 12),
-        )
-
-    marks = []
-    for k in range(5):
-        y = y0 + (y1 - y0) * k / 4
-        _, v = at(0, y)
-        marks.append(
-            f'<line x1="{left}" x2="{width - right}" y1="{v:.1f}" y2="{v:.1f}" class="grid"/>'
-            f'<text x="{left - 8}" y="{v + 4:.1f}" text-anchor="end">{10**y:.3g}</text>'
-        )
-    marks.append(f'<text x="{left}" y="{height - 8}">0</text>')
-    marks.append(f'<text x="{width - right}" y="{height - 8}" text-anchor="end">step {x1}</text>')
-    ends: list[tuple[float, str]] = []
-    for name, curve in curves.items():
-        there = [at(x, math.log10(y)) for x, y in curve if y > 0]
-        if not there:
-            continue
-        line = " ".join(f"{a:.1f},{b:.1f}" for a, b in there)
-        marks.append(f'<polyline points="{line}"/>')
-        ends.append((there[-1][1], name))
-    places: list[float] = []
-    for y, _ in sorted(ends):  # names do not lie on one another
-        places.append(max(y, places[-1] + 14) if places else y)
-    lift = max(0.0, places[-1] - (height - 8)) if places else 0.0
-    for y, (_, name) in zip(places, sorted(ends), strict=True):
-        x, y = width - right + 6, y - lift + 4
-        marks.append(f'<text x="{x}" y="{y:.1f}">{escape(name)}</text>')
-    return (
-        f'<svg class="curve" viewBox="0 0 {width} {height}" role="img" '
-        f'aria-label="{escape(", ".join(curves))} over steps">{"".join(marks)}</svg>'
-    )

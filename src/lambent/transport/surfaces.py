@@ -37,11 +37,14 @@ NOWHERE = 0xFFFFFFFF
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """All primitives of a scene.
+    """All primitives of a scene, sorted by what they are.
+
+    Mitsuba merges meshes as it loads, in an order that changes from run to run; sorted by their
+    geometry, primitives have the same numbers every time.
 
     ``kind`` ``(P,)``; ``matrix`` ``(P, 3, 4)``: M above; ``area`` ``(P,)`` in the scene's unit
     squared; ``flip`` ``(P,)``: -1 where the scene turns the normal round; ``shape`` ``(P,)``:
-    index into ``shapes``. ``degenerate``: triangles without area, kept so that numbers match.
+    index into ``shapes``; ``index`` ``(P,)``: number within the shape. ``degenerate``: triangles without area, kept so that numbers match.
     ``left_out``: shapes that are black, by class name and how many.
     """
 
@@ -51,6 +54,7 @@ class Surfaces:
     area: Array
     flip: Array
     shape: NDArray[np.int32]
+    index: NDArray[np.int32]
     degenerate: int
     left_out: dict[str, int]
 
@@ -77,11 +81,13 @@ class Surfaces:
         """The same in Dr.Jit's memory, for kernels."""
         bound = 1 + max((_number(s) for s in self.shapes), default=0)
         first = np.full(bound, NOWHERE, np.uint32)
-        starts = np.searchsorted(self.shape, np.arange(len(self.shapes)))
         counts = np.bincount(self.shape, minlength=len(self.shapes))
+        starts = np.concatenate([[0], np.cumsum(counts)])
         for number, shape in enumerate(self.shapes):
             if counts[number]:
                 first[_number(shape)] = starts[number]
+        rank = np.empty(len(self), np.uint32)
+        rank[starts[self.shape] + self.index] = np.arange(len(self), dtype=np.uint32)
         inverse = np.zeros((len(self), 3, 4))
         good = self.area > 0
         back = np.linalg.inv(self.matrix[good][:, :, :3])
@@ -89,6 +95,7 @@ class Surfaces:
         inverse[good, :, 3] = self.matrix[good][:, :, 3]  # subtracted before: float32 keeps more
         return Table(
             mi.UInt32(first),
+            mi.UInt32(rank),
             mi.UInt32(self.kind.astype(np.uint32)),
             mi.Float(self.matrix.astype(np.float32).ravel()),
             mi.Float(inverse.astype(np.float32).ravel()),
@@ -102,6 +109,7 @@ class Table:
     """`Surfaces` in a kernel: flat arrays of Dr.Jit."""
 
     first: Any
+    rank: Any
     kind: Any
     matrix: Any
     inverse: Any
@@ -124,28 +132,44 @@ class Table:
         flip = dr.gather(mi.Float, self.flip, prim)
         return p, dr.normalize(n) * flip
 
+    def parameters(self, kind: Any, local: Any) -> tuple[Any, Any]:
+        """(a, b) of a point in a primitive's own space, of any kind."""
+        a, b = _unit(local.x), _unit(local.y)
+        if self.curved:
+            other_a, other_b = _parameters_in_kernel(kind, local)
+            a = dr.select(kind == TRIANGLE, a, other_a)
+            b = dr.select(kind == TRIANGLE, b, other_b)
+        return a, b
+
+    def local(self, prim: Any, p: Any) -> Any:
+        """A point in a primitive's own space."""
+        rows = [dr.gather(mi.Vector4f, self.inverse, 3 * prim + k) for k in range(3)]
+        off = mi.Vector3f(p.x - rows[0].w, p.y - rows[1].w, p.z - rows[2].w)
+        return mi.Vector3f(*[dr.dot(r.xyz, off) for r in rows])
+
+    def normal(self, prim: Any, p: Any) -> Any:
+        """The geometric unit normal of a primitive at a point on it."""
+        a, b = mi.Float(0.25), mi.Float(0.25)
+        if self.curved:
+            kind = dr.gather(mi.UInt32, self.kind, prim)
+            a, b = self.parameters(kind, self.local(prim, p))
+        return self.point(prim, a, b)[1]
+
     def locate(self, shape: Any, prim_index: Any, p: Any, active: Any) -> tuple[Any, Any, Any]:
         """(primitive, a, b) of a point on a shape; primitive `NOWHERE` for shapes left out."""
         number = dr.reinterpret_array(mi.UInt32, shape)
         first = dr.gather(mi.UInt32, self.first, number, active)
         known = active & (first != NOWHERE)
-        prim = dr.select(known, first + prim_index, 0)
-        rows = [dr.gather(mi.Vector4f, self.inverse, 3 * prim + k) for k in range(3)]
-        off = mi.Vector3f(p.x - rows[0].w, p.y - rows[1].w, p.z - rows[2].w)
-        local = mi.Vector3f(*[dr.dot(r.xyz, off) for r in rows])
-        a, b = _unit(local.x), _unit(local.y)
-        if self.curved:
-            kind = dr.gather(mi.UInt32, self.kind, prim)
-            other_a, other_b = _parameters_in_kernel(kind, local)
-            a = dr.select(kind == TRIANGLE, a, other_a)
-            b = dr.select(kind == TRIANGLE, b, other_b)
+        prim = dr.gather(mi.UInt32, self.rank, first + prim_index, known)
+        kind = dr.gather(mi.UInt32, self.kind, prim)
+        a, b = self.parameters(kind, self.local(prim, p))
         return dr.select(known, prim, NOWHERE), a, b
 
 
 def surfaces_of(scene: Any) -> Surfaces:
     """The primitives of a scene, shape after shape."""
     shapes = tuple(scene.shapes())
-    kinds, matrices, areas, flips, owners = [], [], [], [], []
+    kinds, matrices, areas, flips, owners, indices = [], [], [], [], [], []
     degenerate = 0
     left_out: dict[str, int] = {}
     for number, shape in enumerate(shapes):
@@ -165,17 +189,23 @@ def surfaces_of(scene: Any) -> Surfaces:
         areas.append(size)
         flips.append(np.full(len(m), -1.0 if shape.has_flipped_normals() else 1.0))
         owners.append(np.full(len(m), number, np.int32))
+        indices.append(np.arange(len(m), dtype=np.int32))
 
     def joined(parts: list[Any], shape: tuple[int, ...], kind: Any) -> Any:
         return np.concatenate(parts) if parts else np.zeros(shape, kind)
 
+    kind = joined(kinds, (0,), np.int32)
+    matrix = joined(matrices, (0, 3, 4), np.float64)
+    rows = np.c_[matrix.reshape(-1, 12).astype(np.float32), kind]
+    order = np.lexsort(rows.T[::-1])
     return Surfaces(
         shapes,
-        joined(kinds, (0,), np.int32),
-        joined(matrices, (0, 3, 4), np.float64),
-        joined(areas, (0,), np.float64),
-        joined(flips, (0,), np.float64),
-        joined(owners, (0,), np.int32),
+        kind[order],
+        matrix[order],
+        joined(areas, (0,), np.float64)[order],
+        joined(flips, (0,), np.float64)[order],
+        joined(owners, (0,), np.int32)[order],
+        joined(indices, (0,), np.int32)[order],
         degenerate,
         left_out,
     )
@@ -191,9 +221,8 @@ def _number(shape: Any) -> int:
 
 def _triangles(mesh: Any) -> tuple[Array, Array]:
     """Matrices ``(P, 3, 4)`` with columns e1, e2, e1 x e2, corner; areas."""
-    params = mi.traverse(mesh)
-    vertices = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
-    faces = np.array(params["faces"], np.int64).reshape(-1, 3)
+    vertices = np.array(mesh.vertex_positions_buffer(), np.float64).reshape(-1, 3)
+    faces = np.array(mesh.faces_buffer(), np.int64).reshape(-1, 3)
     corner = vertices[faces[:, 0]]
     e1, e2 = vertices[faces[:, 1]] - corner, vertices[faces[:, 2]] - corner
     normal = np.cross(e1, e2)

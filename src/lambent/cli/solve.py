@@ -1,0 +1,214 @@
+"""Solve the light of a scene once; `lambent view` then shows it from anywhere.
+
+SCENE is a Mitsuba scene (.xml). By radiosity: surfaces are cut into patches, taken as diffuse, and
+the light between them is solved for, bounces without end. Materials that are not diffuse are taken
+for what they are nearest to, and named. Ctrl-C keeps the solution so far; --resume goes on.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.progress import Progress, show_seconds
+
+if TYPE_CHECKING:
+    from lambent.render.scene import LoadedScene
+
+EPILOG = (
+    "Examples: lambent solve scene.xml -o room.lambent; "
+    "lambent solve scene.xml --patches 64000 --adaptive --report -o room.lambent"
+)
+
+
+def complete_solvers(incomplete: str) -> list[tuple[str, str]]:
+    """For the shell: names of solvers, with what they are good for."""
+    from lambent.transport.radiosity.solvers import SOLVERS
+
+    return [(n, words) for n, (_, words) in SOLVERS.items() if n.startswith(incomplete)]
+
+
+def solve(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A Mitsuba scene, .xml.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="OUT.lambent",
+            help="Where to write. Default: SCENE.lambent here.",
+        ),
+    ] = None,
+    method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",
+    patches: Annotated[
+        int, typer.Option("--patches", metavar="N", help="About so many patches.")
+    ] = 4000,
+    patch_size: Annotated[
+        float | None,
+        typer.Option("--patch-size", metavar="S", help="Their length in the scene's unit instead."),
+    ] = None,
+    adaptive: Annotated[
+        bool, typer.Option("--adaptive", help="Cut finer where the picture changes.")
+    ] = False,
+    solver: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="cg, direct, jacobi, gauss-seidel, southwell, least-squares, matrix-free.",
+            autocompletion=complete_solvers,
+        ),
+    ] = "cg",
+    factors: Annotated[
+        str, typer.Option(metavar="rays|pairs", help="Form factors by rays, or pair by pair.")
+    ] = "rays",
+    rays: Annotated[int, typer.Option(metavar="N", help="Rays from every patch.")] = 256,
+    samples: Annotated[
+        int, typer.Option(metavar="N", help="Samples of the emitters for every patch.")
+    ] = 64,
+    tolerance: Annotated[
+        float, typer.Option(metavar="X", help="End at this residual, relative to the first light.")
+    ] = 1e-6,
+    steps: Annotated[int, typer.Option(metavar="N", help="Most steps of the solver.")] = 1000,
+    time: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Most time for the solver.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    define: Annotated[
+        list[str] | None,
+        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with what the output holds.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
+    ] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write a page that shows the light as it grows.")
+    ] = False,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.cli.options import definitions
+    from lambent.transport.solve import solve as run
+
+    target = output or Path(_default_name(scene))
+    page = _Page(scene, target.with_suffix(".html"), definitions(define)) if report else None
+    with Progress(scene.name, quiet=as_json) as progress:
+        progress.report(0, 1, "loading the scene")
+        solution = run(
+            scene,
+            method,
+            output=target,
+            overwrite=overwrite,
+            resume=resume,
+            device=device,
+            parameters=definitions(define),
+            progress=progress.report,
+            watch=page.show if page is not None else None,
+            patches=patches,
+            size=patch_size,
+            adaptive=adaptive,
+            solver=solver,
+            factors=factors,
+            rays=rays,
+            samples=samples,
+            tolerance=tolerance,
+            steps=steps,
+            seconds=time,
+            seed=seed,
+        )
+        if page is not None:
+            progress.report(1, 1, "writing the page")
+            page.finish(solution)
+    if as_json:
+        print_json(_as_dict(solution, target))
+    else:
+        _print(solution, target, page)
+    if solution.interrupted:
+        raise KeyboardInterrupt
+
+
+# ------------------------------------------------------------------- private
+
+
+class _Page:
+    """The report, written again while the light grows; the solver says how often."""
+
+    def __init__(self, scene: Path, path: Path, parameters: dict[str, str]) -> None:
+        self.scene, self.path, self.parameters = scene, path, parameters
+        self.loaded: LoadedScene | None = None
+        self.views: dict[str, Any] = {}
+        self.pictures: list[tuple[int, Any]] = []
+
+    def show(self, solution: Any) -> None:
+        """After a step of the solver."""
+        self._write(solution, running=True)
+
+    def finish(self, solution: Any) -> None:
+        """With the final picture, and no more reloading."""
+        self._write(solution, running=False)
+
+    def _write(self, solution: Any, running: bool) -> None:
+        from lambent.report.solving import write_solving
+        from lambent.transport.scene import load_for_light
+        from lambent.transport.solution import picture
+        from lambent.transport.surfaces import surfaces_of
+
+        if self.loaded is None:
+            self.loaded = load_for_light(self.scene, parameters=self.parameters)
+            width, height = self.loaded.sensor.film().crop_size()
+            scale = min(1.0, 640 / max(width, height))
+            size = max(1, round(width * scale)), max(1, round(height * scale))
+            self.loaded = load_for_light(self.scene, parameters=self.parameters, size=size)
+            self.surfaces = surfaces_of(self.loaded.scene)
+        made = {}
+        for kind in ("smooth",) if running else ("smooth", "mesh", "irradiance", "residual"):
+            if kind in self.views:
+                self.views[kind].update(solution)
+            else:
+                self.views[kind] = solution.integrator(kind)
+            shown = picture(self.views[kind], self.loaded, spp=8, features="none")
+            made[kind] = shown.colour
+        self.pictures.append((len(solution.history.steps), made["smooth"]))
+        write_solving(
+            self.path, self.scene.name, solution, made, self.pictures,
+            balance=solution.balance(self.surfaces), areas=solution.patches_on(self.surfaces).area,
+            running=running,
+        )  # fmt: skip
+
+
+def _default_name(scene: Path) -> str:
+    stem = scene.parent.resolve().name if scene.stem == "scene" else scene.stem
+    return f"{stem}.lambent"
+
+
+def _print(solution: Any, target: Path, page: _Page | None) -> None:
+    print(target)
+    history = solution.history
+    residual = history.residuals[-1] if history.residuals else float("nan")
+    spent = ", ".join(f"{name} {show_seconds(s)}" for name, s in solution.seconds.items())
+    print(f"  holds    {len(solution):,} patches; {int(solution.live.sum()):,} faces see light")
+    print(f"  solved   {len(history.steps)} steps, residual {residual:.1e}; {spent}")
+    for note in solution.notes:
+        print(f"  note     {note}")
+    if page is not None:
+        print(f"  report   {page.path}")
+    print(f"  look     lambent view {target} -o view.png")
+
+
+def _as_dict(solution: Any, target: Path) -> dict[str, Any]:
+    return {
+        "path": str(target),
+        "patches": len(solution),
+        "live_faces": int(solution.live.sum()),
+        "steps": len(solution.history.steps),
+        "residual": solution.history.residuals[-1] if solution.history.residuals else None,
+        "seconds": solution.seconds,
+        "interrupted": solution.interrupted,
+        "notes": list(solution.notes),
+    }

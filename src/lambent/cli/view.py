@@ -1,0 +1,219 @@
+"""Look at a solved scene: a picture, a film, or a mesh that carries its light.
+
+SOLUTION is a file of `lambent solve`. The output's ending says what is made: .exr (all features,
+which `lambent denoise` can use), .png, .mp4 (with --frames), .ply and .glb (light in the vertices);
+an .exr with --lightmap holds the light of all surfaces as one image.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from lambent.frame.frame import Frame
+
+EPILOG = (
+    "Examples: lambent view room.lambent -o view.png; "
+    "lambent view room.lambent --show gather --spp 64 -o view.exr; "
+    "lambent view room.lambent --frames 1-48 --animation fly.toml -o fly.mp4"
+)
+
+#: Endings of what can be written.
+PICTURES, FILMS, MESHES = (".exr", ".png"), (".mp4",), (".ply", ".glb")
+
+
+def complete_shows(incomplete: str) -> list[tuple[str, str]]:
+    """For the shell: kinds of views."""
+    from lambent.transport.radiosity.shows import SHOWS
+
+    return [(n, words) for n, words in SHOWS.items() if n.startswith(incomplete)]
+
+
+def view(
+    solution: Annotated[Path, typer.Argument(metavar="SOLUTION", help="A .lambent file.")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", metavar="OUT", help=".exr, .png, .mp4, .ply or .glb; shot.####.exr."
+        ),
+    ],
+    show: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="smooth, gather (final gather), patch, mesh (outlines), irradiance, residual.",
+            autocompletion=complete_shows,
+        ),
+    ] = "smooth",
+    camera: Annotated[
+        str | None, typer.Option(metavar="NAME|N", help="Which camera of the scene.")
+    ] = None,
+    stand: Annotated[
+        str | None, typer.Option("--from", metavar="X,Y,Z", help="Where a camera of yours stands.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option("--to", metavar="X,Y,Z", help="What it looks at.")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(metavar="DEGREES", help="Its field of view, across.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
+    ] = None,
+    spp: Annotated[
+        int | None, typer.Option(metavar="N", help="Samples a pixel; 16, gathering 64.")
+    ] = None,
+    features: Annotated[
+        str, typer.Option(metavar="all|none|NAME,...", help="Layers of an .exr.")
+    ] = "all",
+    frames: Annotated[
+        str | None, typer.Option(metavar="1-48", help="Frames of a moving camera.")
+    ] = None,
+    animation: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Its keyframes; default: SCENE.toml beside it."),
+    ] = None,
+    fps: Annotated[float, typer.Option(metavar="N", help="Frames a second of a film.")] = 24.0,
+    exposure: Annotated[
+        float | None,
+        typer.Option(metavar="X", help="Factor for .png, .mp4, .glb, .ply. Default: automatic; 1."),
+    ] = None,
+    lightmap: Annotated[
+        bool, typer.Option("--lightmap", help="The light of all surfaces as one image.")
+    ] = False,
+    scene: Annotated[
+        Path | None, typer.Option(metavar="SCENE", help="The scene, if it has moved.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace outputs.")] = False,
+    device: DeviceOption = "auto",
+    as_json: JsonOption = False,
+) -> None:
+    """Typer's view of the command; the module docstring is its help."""
+    from lambent.cli.options import point_of, size_of
+    from lambent.errors import OptionError
+    from lambent.frame.atomic import check_target
+    from lambent.frame.sequence import has_place, parse_range
+    from lambent.transport.radiosity.shows import check_show
+
+    suffix = Path(output).suffix.lower()
+    known = (*PICTURES, *FILMS, *MESHES)
+    if suffix not in known:
+        raise OptionError(f"'{output}' is no kind of view", remedy=f"end it in {', '.join(known)}")
+    check_show(show)
+    if suffix in FILMS and frames is None:
+        raise OptionError("a film needs frames", remedy="give --frames 1-48 and --animation")
+    if frames is not None and suffix in PICTURES and not has_place(output):
+        raise OptionError(
+            f"'{output}' has no place for a frame number", remedy="take -o shot.####.exr"
+        )
+    if not has_place(output):
+        check_target(Path(output), overwrite)
+    from lambent.render.variant import mitsuba
+
+    mitsuba(device)  # before anything of Mitsuba's is named
+    from lambent.transport import solution as look
+
+    opened = look.open_solution(solution)
+    where = {"scene": scene, "camera": camera, "size": size_of(size), "device": device}
+    looks = {"show": show, "spp": spp, "features": features, "seed": seed}
+    if suffix == ".png" or suffix in FILMS:
+        looks["features"] = "none"
+    written = []
+    with Progress(solution.name, quiet=as_json) as progress:
+        progress.report(0, 1, "loading the scene")
+        if suffix in MESHES or lightmap:
+            _export(opened, Path(output), lightmap, where, exposure or 1.0, overwrite)
+            written.append(output)
+        elif frames is not None:
+            path = animation or _beside(opened, scene)
+            made = look.film(
+                opened, parse_range(frames), path, progress=progress.report, **where, **looks
+            )
+            written += _film(made, output, suffix, fps, exposure, overwrite)
+        else:
+            frame = look.view(
+                opened, stand=point_of("--from", stand), target=point_of("--to", target), fov=fov,
+                **where, **looks,
+            )  # fmt: skip
+            _write(frame, Path(output), exposure, overwrite)
+            written.append(output)
+    if as_json:
+        print_json({"written": written, "show": show})
+        return
+    for path in written:
+        print(path)
+
+
+# ------------------------------------------------------------------- private
+
+
+def _beside(solution: Any, scene: Path | None) -> Path:
+    from lambent.errors import OptionError
+
+    source = scene or (Path(solution.scene) if solution.scene else None)
+    beside = source.with_suffix(".toml") if source is not None else None
+    if beside is None or not beside.exists():
+        raise OptionError(
+            "frames were asked for, but nothing says how the camera moves",
+            remedy="name keyframes: --animation FILE.toml",
+        )
+    return beside
+
+
+def _write(frame: Frame, path: Path, exposure: float | None, overwrite: bool) -> None:
+    from lambent.frame.atomic import atomic
+    from lambent.frame.files import write
+    from lambent.frame.tonemap import to_png
+
+    if path.suffix.lower() == ".png":
+        with atomic(path, overwrite) as handle:
+            handle.write(to_png(frame.colour, exposure))
+    else:
+        write(path, frame, overwrite=overwrite)
+
+
+def _film(
+    made: Any, output: str, suffix: str, fps: float, exposure: float | None, overwrite: bool
+) -> list[str]:
+    from lambent.frame.atomic import check_target
+    from lambent.frame.sequence import put_number
+    from lambent.frame.tonemap import auto_exposure
+    from lambent.transport.film import write_film
+
+    if suffix in FILMS:
+        write_film(output, (frame for _, frame in made), fps, exposure, overwrite)
+        return [output]
+    written = []
+    for number, frame in made:
+        path = put_number(output, number)
+        check_target(Path(path), overwrite)
+        if exposure is None and suffix == ".png":
+            exposure = auto_exposure(frame.colour)  # one for all, or the film would flicker
+        _write(frame, Path(path), exposure, overwrite)
+        written.append(str(path))
+    return written
+
+
+def _export(
+    solution: Any, path: Path, lightmap: bool, where: dict[str, Any], exposure: float, over: bool
+) -> None:
+    from lambent.errors import OptionError
+    from lambent.transport.radiosity import export
+    from lambent.transport.solution import scene_of
+    from lambent.transport.surfaces import surfaces_of
+
+    loaded = scene_of(solution, **where)
+    surfaces = surfaces_of(loaded.scene)
+    if not lightmap:
+        export.export(solution, loaded.scene, surfaces, path, exposure, over)
+        return
+    if path.suffix.lower() != ".exr":
+        raise OptionError("a lightmap is an EXR", remedy="end it in .exr")
+    export.write_lightmap(path, export.lightmap(solution, loaded.scene, surfaces), over)

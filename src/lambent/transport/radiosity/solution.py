@@ -1,0 +1,180 @@
+"""The radiosity of a scene as a record: what every patch reflects, emits and receives.
+
+It holds irradiance rather than radiosity, so that a view multiplies it by the texture at the very
+point that is seen: B(x) = E(x) + ρ(x) H, with H smooth where ρ is not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import FileError
+from lambent.frame.frame import Frame
+from lambent.transport.radiosity.patches import Cells, Patches
+from lambent.transport.radiosity.solvers import History
+from lambent.transport.solution_file import read_solution, write_solution
+from lambent.transport.surfaces import Array, Surfaces
+
+METHOD = "radiosity"
+_ARRAYS = (
+    "child", "prim", "corner", "cell_patch", "reflectance", "emission", "direct", "indirect",
+    "residual", "live",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class RadiositySolution:
+    """What `lambent.solve(scene, method="radiosity")` returns.
+
+    Of the ``n`` patches' ``2 n`` faces (`lambent.transport.radiosity.patches`), ``(2 n, 3)`` each:
+    ``reflectance``, ``emission`` (emitted radiosity, W/m²), ``direct`` and ``indirect`` irradiance,
+    ``residual`` of the equation; ``live`` ``(2 n,)``: faces that light reaches. ``child``,
+    ``prim``, ``corner``, ``cell_patch``: the cells and the patch of each.
+    """
+
+    child: NDArray[np.int32]
+    prim: NDArray[np.int32]
+    corner: NDArray[np.float32]
+    cell_patch: NDArray[np.int32]
+    reflectance: NDArray[np.float32]
+    emission: NDArray[np.float32]
+    direct: NDArray[np.float32]
+    indirect: NDArray[np.float32]
+    residual: NDArray[np.float32]
+    live: NDArray[np.bool_]
+    history: History
+    digest: str
+    scene: str | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    interrupted: bool = False
+
+    def __len__(self) -> int:
+        """Number of patches."""
+        return len(self.reflectance) // 2
+
+    @property
+    def irradiance(self) -> Array:
+        """Light that arrives ``(2 n, 3)``, W/m²."""
+        return np.asarray(self.direct + self.indirect)
+
+    @property
+    def reflected(self) -> Array:
+        """Light that leaves by reflection ``(2 n, 3)``, W/m²: ρ H."""
+        return np.asarray(self.reflectance * self.irradiance)
+
+    @property
+    def radiosity(self) -> Array:
+        """All light that leaves ``(2 n, 3)``, W/m²: B = E + ρ H."""
+        return np.asarray(self.emission + self.reflected)
+
+    def patches_on(self, surfaces: Surfaces) -> Patches:
+        """The patches on the surfaces of the scene. Call `check` first."""
+        cells = Cells(surfaces, self.child, self.prim, self.corner)
+        leaf = cells.leaves
+        patch = self.cell_patch[leaf]
+        order = np.argsort(patch, kind="stable")
+        area = cells.areas(leaf)
+        start = np.searchsorted(patch[order], np.arange(len(self) + 1))
+        return Patches(
+            cells, leaf[order], start, self.cell_patch, area[order],
+            np.bincount(patch, area, minlength=len(self)),
+        )  # fmt: skip
+
+    def check(self, surfaces: Surfaces, scene: object = None) -> None:
+        """Raises `FileError` unless this was solved for these very surfaces."""
+        if digest_of(surfaces) != self.digest:
+            raise FileError(
+                "the solution is of another scene, or the scene's shapes have changed since",
+                file=scene,
+                remedy="solve it again: lambent solve SCENE -o FILE",
+            )
+
+    def balance(self, surfaces: Surfaces) -> dict[str, float]:
+        """Power in watts, mean of the channels: emitted by surfaces, arriving directly, reflected,
+        absorbed; of all patches.
+        """
+        area = np.repeat(self.patches_on(surfaces).area, 2)[:, None]
+
+        def watts(x: Any) -> float:
+            return float((area * np.asarray(x, np.float64)).sum() / 3)
+
+        absorbed = np.where(self.live[:, None], (1 - self.reflectance) * self.irradiance, 0)
+        return {
+            "emitted": watts(self.emission),
+            "direct": watts(np.where(self.live[:, None], self.direct, 0)),
+            "reflected": watts(self.reflected),
+            "absorbed": watts(absorbed),
+        }
+
+    # ---------------------------------------------------------------- views
+
+    def integrator(self, show: str = "smooth") -> Any:
+        """A Mitsuba integrator that shows it (`radiosity.integrator.SHOWS`)."""
+        from lambent.transport.radiosity.integrator import RadiosityView
+
+        return RadiosityView.of(self, show)
+
+    def view(self, **options: Any) -> Frame:
+        """A picture of it as a `Frame`; the options are those of `lambent.transport.solution.view`.
+
+        A scene that was solved in memory has to be given again: ``scene=…``.
+        """
+        from lambent.transport.solution import view
+
+        return view(self, **options)
+
+    # ---------------------------------------------------------------- files
+
+    def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Write it as a file (``.lambent``), in one step. Raises `OutputError`."""
+        card = {
+            "method": METHOD,
+            "scene": self.scene,
+            "geometry": self.digest,
+            "patches": len(self),
+            "settings": self.settings,
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+            "interrupted": self.interrupted,
+            "history": vars(self.history),
+        }
+        write_solution(path, card, {name: getattr(self, name) for name in _ARRAYS}, overwrite)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RadiositySolution:
+        """Read it from a file. Raises `FileError`, `DamagedFileError`."""
+        card, arrays = read_solution(path)
+        if card["method"] != METHOD:
+            raise FileError(
+                f"holds a solution by {card['method']}, not by {METHOD}", file=Path(path)
+            )
+        missing = [name for name in _ARRAYS if name not in arrays]
+        if missing:
+            raise FileError(f"lacks {', '.join(missing)}", file=Path(path))
+        return cls(
+            **arrays,
+            history=History(**card["history"]),
+            digest=card["geometry"],
+            scene=card["scene"],
+            settings=card["settings"],
+            notes=tuple(card["notes"]),
+            seconds=card["seconds"],
+            interrupted=card["interrupted"],
+        )
+
+
+def digest_of(surfaces: Surfaces) -> str:
+    """A hash of the geometry: the same shapes give the same."""
+    digest = hashlib.sha256(surfaces.kind.tobytes())
+    digest.update(surfaces.matrix.astype(np.float32).tobytes())
+    digest.update(surfaces.flip.astype(np.int8).tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,314 @@
+"""From a scene to its radiosity: cut, measure, cast, balance, solve; and again where it pays."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lambent.errors import OptionError, UnknownNameError
+from lambent.render.scene import LoadedScene
+from lambent.transport.diffuse import assumptions, is_two_sided
+from lambent.transport.radiosity import adaptive, light
+from lambent.transport.radiosity.balance import balanced, symmetric
+from lambent.transport.radiosity.casting import cast, gathered
+from lambent.transport.radiosity.patches import Cells, Patches, cluster, size_for, uniform
+from lambent.transport.radiosity.probe import Probe
+from lambent.transport.radiosity.solution import RadiositySolution, digest_of
+from lambent.transport.radiosity.solvers import SOLVERS, Equation, History, run
+from lambent.transport.surfaces import Array, Surfaces, surfaces_of
+
+#: Rays with which faces that light never reaches are told from the others.
+SCOUTS = 64
+#: Seconds from one look of a watcher to the next, at least.
+WATCH_EVERY = 2.0
+#: Rounds of refinement.
+ROUNDS = 3
+
+Progress = Callable[[float, float, str], None]
+Watch = Callable[[RadiositySolution], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a person can choose.
+
+    ``patches``: about so many; or ``size``: their length in the scene's unit. ``rays`` from each
+    face for the form factors; ``factors``: "rays" or "pairs" (`lambent.transport.radiosity.pairs`).
+    ``samples`` of the emitters for each face. ``adaptive``: cut finer where the picture changes.
+    ``tolerance``: of the residual, relative; ``steps``, ``seconds``: the most for the solver.
+    """
+
+    patches: int = 4000
+    size: float | None = None
+    solver: str = "cg"
+    factors: str = "rays"
+    rays: int = 256
+    samples: int = 64
+    adaptive: bool = False
+    tolerance: float = 1e-6
+    steps: int = 1000
+    seconds: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise UnknownNameError("solver", self.solver, SOLVERS)
+        if self.factors not in ("rays", "pairs"):
+            raise UnknownNameError("kind of form factors", self.factors, ("rays", "pairs"))
+        for name in ("patches", "rays", "samples", "steps"):
+            if getattr(self, name) < 1:
+                raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}")
+        if not 0 < self.tolerance < 1:
+            raise OptionError(f"a tolerance of {self.tolerance:g} cannot be reached or is none")
+        if self.factors == "pairs" and self.solver == "matrix-free":
+            raise OptionError("the matrix-free solver casts rays", remedy="take --solver cg")
+
+
+def solve(
+    loaded: LoadedScene,
+    settings: Settings,
+    start: RadiositySolution | None = None,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
+) -> RadiositySolution:
+    """The radiosity of a loaded scene.
+
+    ``start``: a solution of the same scene to go on with; its patches are kept. ``watch`` gets the
+    solution as it grows. Ctrl-C while solving ends it; the result is marked ``interrupted``.
+    Raises `OptionError`: no surface, nothing lights any, too little memory for the solver.
+    """
+    work = _Work(loaded, settings, progress or (lambda done, total, text: None), watch)
+    return work.go_on(start) if start is not None else work.begin()
+
+
+# ------------------------------------------------------------------- private
+
+
+@dataclass
+class _Work:
+    """One solve: the scene, what is wished, and whom to tell."""
+
+    loaded: LoadedScene
+    settings: Settings
+    progress: Progress
+    watch: Watch | None
+
+    def __post_init__(self) -> None:
+        self.scene = self.loaded.scene
+        self.surfaces: Surfaces = surfaces_of(self.scene)
+        if float(self.surfaces.area.sum()) <= 0:
+            raise OptionError(
+                "the scene has no surface to solve for",
+                file=self.loaded.path,
+                remedy="give a scene with meshes, rectangles, spheres, disks or cylinders",
+            )
+        said = assumptions(self.scene, self.surfaces.left_out, self.surfaces.degenerate)
+        self.notes = list(said.sentences)
+        sided = np.array([is_two_sided(shape) for shape in self.surfaces.shapes], bool)
+        self.two_sided = sided[self.surfaces.shape]
+        self.seconds: dict[str, float] = {}
+        self.next_watch = 0.0
+
+    def begin(self) -> RadiositySolution:
+        """Cut and solve; with ``adaptive`` from a quarter of the patches up."""
+        wish = self.settings
+        self.progress(0, 1, "cutting the surfaces")
+        aim = wish.patches if not wish.adaptive else max(64, wish.patches // 4)
+        size = wish.size or size_for(self.surfaces, aim)
+        cells = uniform(self.surfaces, size)
+        if not wish.adaptive:
+            return self.once(cluster(cells, size), None, "")
+        rough = replace(wish, rays=max(32, wish.rays // 4), tolerance=1e-3, solver="cg")
+        final = wish
+        for round_ in range(ROUNDS):
+            patches = cluster(cells, size)
+            left = wish.patches - len(patches)
+            if left <= 0:
+                break
+            self.settings = rough
+            found = self.once(patches, None, f"round {round_ + 1}: ")
+            share = adaptive.shares(patches, found.reflected, found.live.astype(float))
+            more = left if round_ == ROUNDS - 1 else left // 2
+            cells = adaptive.refined(patches, share, more)
+        self.settings = final
+        return self.once(cluster(cells, size), None, "")
+
+    def go_on(self, start: RadiositySolution) -> RadiositySolution:
+        """The same patches, from what was reached."""
+        start.check(self.surfaces, self.loaded.path)
+        return self.once(start.patches_on(self.surfaces), start, "")
+
+    def once(
+        self, patches: Patches, start: RadiositySolution | None, words: str
+    ) -> RadiositySolution:
+        """Solve for these patches."""
+        wish, scene = self.settings, self.scene
+        n = len(patches)
+        probe = Probe.of(patches)
+        every = np.arange(2 * n)
+        with self.timed("light"):
+            self.progress(0, 1, f"{words}{n:,} patches: materials and direct light")
+            seen = light.look(scene, probe, every, seed=wish.seed)
+            black = ~self._sides(patches)
+            rho = np.where(black[:, None], 0, seen.reflectance)
+            reflecting = rho.max(axis=1) > 0
+            arriving = np.zeros((2 * n, 3))
+            at = np.flatnonzero(reflecting)
+            arriving[at] = light.direct(scene, probe, at, wish.samples, wish.seed)
+        if not (arriving.max(initial=0) > 0 or seen.emission.max(initial=0) > 0):
+            raise OptionError(
+                "no light reaches any surface that reflects",
+                file=self.loaded.path,
+                remedy="check the emitters, and the sides of one-sided materials",
+            )
+        with self.timed("form factors"):
+            live = self._live(patches, probe, reflecting, arriving, words)
+            faces = np.flatnonzero(live)
+            area = np.repeat(patches.area, 2)[faces]
+            factors, gather, off = self._factors(patches, probe, faces, live, words)
+        first = rho[faces] * arriving[faces]
+        equation = Equation(first, rho[faces], factors, area, gather)
+
+        def packed(x: Array, history: History, interrupted: bool = False) -> RadiositySolution:
+            indirect = equation.apply(x)
+            return self._packed(
+                patches, faces, rho, seen.emission, arriving, indirect,
+                equation.residual(x), history, off, interrupted,
+            )  # fmt: skip
+
+        def tell(step: int, residual: float, x: Array) -> None:
+            share = np.log(max(residual, wish.tolerance)) / np.log(wish.tolerance)
+            self.progress(
+                min(1.0, max(0.0, float(share))), 1,
+                f"{words}{wish.solver}, step {step}, residual {residual:.1e}",
+            )  # fmt: skip
+            if self.watch is None or words or time.monotonic() < self.next_watch:
+                return
+            began = time.monotonic()
+            self.watch(packed(x, so_far))
+            # whoever watches may take a tenth of the time
+            now = time.monotonic()
+            self.next_watch = now + max(WATCH_EVERY, 10 * (now - began))
+
+        so_far = History()
+        with self.timed("solver"):
+            begin = None
+            if start is not None:
+                begin = start.reflected[faces]
+            x, history, interrupted = run(
+                equation, wish.solver, start=begin, tolerance=wish.tolerance,
+                steps=wish.steps, seconds=wish.seconds, watch=tell, history=so_far,
+            )  # fmt: skip
+        if interrupted and words:
+            raise KeyboardInterrupt
+        return packed(x, history, interrupted)
+
+    def timed(self, what: str) -> Any:
+        """Adds the time that its block takes."""
+        from contextlib import contextmanager
+
+        @contextmanager
+        def clock() -> Any:
+            began = time.monotonic()
+            yield
+            self.seconds[what] = self.seconds.get(what, 0.0) + time.monotonic() - began
+
+        return clock()
+
+    def _sides(self, patches: Patches) -> NDArray[np.bool_]:
+        """``(2 n,)``: sides whose material reflects: all fronts, and the backs of two-sided ones.
+
+        A flipped normal is a matter of the scene: Mitsuba's own notion of front is taken.
+        """
+        prim = patches.cells.prim[patches.leaf[patches.start[:-1]]]
+        sides = np.ones((len(patches), 2), bool)
+        sides[:, 1] = self.two_sided[prim]
+        return sides.ravel()
+
+    def _live(
+        self, patches: Patches, probe: Probe, reflecting: Any, arriving: Array, words: str
+    ) -> NDArray[np.bool_]:
+        """Reflecting faces that light can reach in any number of bounces."""
+        from scipy import sparse
+        from scipy.sparse.csgraph import connected_components
+
+        at = np.flatnonzero(reflecting)
+        lit = arriving.max(axis=1) > 0
+        if lit[at].all():
+            return np.asarray(reflecting)
+        self.progress(0, 1, f"{words}which faces see light")
+        found = cast(self.scene, patches, probe, at, reflecting, SCOUTS, self.settings.seed)
+        size = len(reflecting)
+        hits = found.shares.tocoo()
+        graph = sparse.coo_matrix((np.ones(hits.nnz, np.int8), (at[hits.row], hits.col)), (size,) * 2)
+        _, part = connected_components(graph, directed=False)
+        bright = np.zeros(part.max() + 1, bool)
+        bright[part[lit & reflecting]] = True
+        return np.asarray(reflecting & bright[part])
+
+    def _factors(
+        self, patches: Patches, probe: Probe, faces: Any, live: Any, words: str
+    ) -> tuple[Any, Any, float]:
+        """F, or how to gather without it, and how far rows are from their sums."""
+        wish = self.settings
+        if wish.solver == "matrix-free":
+
+            def gather(x: Array) -> Array:
+                return gathered(
+                    self.scene, patches, probe, faces, live, x, wish.rays, wish.seed
+                )
+
+            return None, gather, 0.0
+        area = np.repeat(patches.area, 2)[faces]
+        if wish.factors == "pairs":
+            from lambent.transport.radiosity.pairs import exchange_matrix
+
+            g, seen = exchange_matrix(
+                self.scene, patches, probe, faces, live, wish.seed,
+                lambda done, total: self.progress(done, total, f"{words}form factors by pairs"),
+            )  # fmt: skip
+            return (*balanced(g, area, seen),)[:1] + (None, 0.0)
+        found = cast(
+            self.scene, patches, probe, faces, live, wish.rays, wish.seed,
+            lambda done, total: self.progress(done, total, f"{words}form factors by rays"),
+        )  # fmt: skip
+        shares = found.shares[:, faces]
+        seen = np.asarray(shares.sum(axis=1)).ravel()
+        self.progress(0, 1, f"{words}reciprocity")
+        factors, off = balanced(symmetric(shares, area), area, seen)
+        return factors, None, off
+
+    def _packed(
+        self, patches: Patches, faces: Any, rho: Array, emission: Array, arriving: Array,
+        indirect: Array, residual: Array, history: History, off: float, interrupted: bool,
+    ) -> RadiositySolution:  # fmt: skip
+        n = 2 * len(patches)
+        bounced, left, live = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n, bool)
+        bounced[faces], left[faces], live[faces] = indirect, residual, True
+        notes = list(self.notes)
+        if off > 1e-4:
+            notes.append(f"form factors of some faces sum to {off:.1e} off what the face sees")
+        return RadiositySolution(
+            child=patches.cells.child,
+            prim=patches.cells.prim,
+            corner=patches.cells.corner,
+            cell_patch=patches.cell_patch,
+            reflectance=rho.astype(np.float32),
+            emission=emission.astype(np.float32),
+            direct=arriving.astype(np.float32),
+            indirect=bounced.astype(np.float32),
+            residual=left.astype(np.float32),
+            live=live,
+            history=history,
+            digest=digest_of(self.surfaces),
+            scene=None if self.loaded.path is None else str(self.loaded.path.resolve()),
+            settings={k: v for k, v in vars(self.settings).items()},
+            notes=tuple(notes),
+            seconds=dict(self.seconds),
+            interrupted=interrupted,
+        )
