@@ -67,7 +67,13 @@ def solve(
     rays: Annotated[int, typer.Option(metavar="N", help="Rays from every patch.")] = 256,
     samples: Annotated[
         int, typer.Option(metavar="N", help="Samples of the emitters for every patch.")
-    ] = 64,
+    ] = 512,
+    direct: Annotated[
+        str,
+        typer.Option(
+            metavar="samples|factors", help="Light straight from emitters: sampled, or through F."
+        ),
+    ] = "samples",
     tolerance: Annotated[
         float, typer.Option(metavar="X", help="End at this residual, relative to the first light.")
     ] = 1e-6,
@@ -117,6 +123,7 @@ def solve(
             factors=factors,
             rays=rays,
             samples=samples,
+            direct=direct,
             tolerance=tolerance,
             steps=steps,
             seconds=time,

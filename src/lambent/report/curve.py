@@ -13,7 +13,7 @@ def curve(curves: Mapping[str, Sequence[tuple[float, float]]], across: str = "st
 
     Values of 0 and below are left out.
     """
-    width, height, left, right, bottom = 640, 260, 56, 132, 30
+    width, height, left, right, bottom = 640, 260, 72, 132, 30
     points = [p for curve in curves.values() for p in curve if p[1] > 0]
     x1 = max(max(x for x, _ in points), 1)
     ys = [math.log10(y) for _, y in points]

@@ -114,6 +114,7 @@ def _power(balance: Mapping[str, Any]) -> str:
         "direct": "arrives straight from emitters",
         "reflected": "leaves by reflection, all bounces",
         "absorbed": "stays in the surfaces",
+        "escaped": "leaves the scene, or ends on something black, after a reflection",
     }
     rows = [[escape(words[k]), number(v)] for k, v in balance.items()]
     return table(["", "watts"], rows, caption="Power, mean of the channels")

@@ -21,6 +21,7 @@ import mitsuba as mi
 
 from lambent.kernels.extremes import greater, smaller
 from lambent.render.surface import describe
+from lambent.transport.warps import cosine_hemisphere
 
 #: With a reflectance of 1 all around, light would never end; more than this counts as this.
 HIGHEST = 0.99
@@ -124,7 +125,7 @@ class DiffusePath(mi.SamplingIntegrator):  # type: ignore[misc]
             result += dr.select(
                 going & (ds.pdf > 0), throughput * rho * dr.inv_pi * light * cosine, 0
             )
-            wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+            wo = cosine_hemisphere(*sampler.next_2d())
             throughput = throughput * rho
             wo.z *= side
             ray = si.spawn_ray(si.to_world(wo))

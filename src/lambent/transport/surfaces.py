@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.kernels.extremes import greater, smaller
+from lambent.transport.warps import root, turn
 
 Array = NDArray[np.float64]
 
@@ -273,7 +274,7 @@ def _local(xp: Any, kind: NDArray[Any], a: Array, b: Array) -> tuple[Array, Arra
 def _local_in_kernel(kind: Any, a: Any, b: Any) -> tuple[Any, Any]:
     s, c = dr.sincos(2 * dr.pi * dr.select(kind == DISK, b, a))
     z = 1 - 2 * b
-    ring, r = dr.safe_sqrt(1 - z * z), dr.safe_sqrt(a)
+    ring, r = root(1 - z * z), root(a)
     ball = mi.Vector3f(ring * c, ring * s, z)
     flat = mi.Vector3f(r * c, r * s, 0)
     tube, round_ = mi.Vector3f(c, s, b), mi.Vector3f(c, s, 0)
@@ -284,12 +285,11 @@ def _local_in_kernel(kind: Any, a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _parameters_in_kernel(kind: Any, local: Any) -> tuple[Any, Any]:
-    turn = dr.atan2(local.y, local.x) * dr.inv_two_pi
-    turn = dr.select(turn < 0, turn + 1, turn)
+    angle = turn(local.y, local.x)
     squared = local.x * local.x + local.y * local.y
     height = dr.select(kind == SPHERE, 0.5 * (1 - local.z), local.z)
-    a = dr.select(kind == DISK, squared, turn)
-    b = dr.select(kind == DISK, turn, height)
+    a = dr.select(kind == DISK, squared, angle)
+    b = dr.select(kind == DISK, angle, height)
     return _unit(a), _unit(b)
 
 

@@ -5,3 +5,11 @@ In the order in which they are used: `patches` cuts the surfaces, `factors` (pai
 `solvers` solve, `adaptive` decides where to cut finer, `smooth` interpolates, `integrator` shows
 the result in Mitsuba, `export` writes it for others. `solution` holds it all together.
 """
+
+from __future__ import annotations
+
+from lambent.render.variant import mitsuba as _mitsuba
+
+# The modules here name what a variant has. Whoever wants another device says so to
+# `lambent.render.variant.mitsuba` first; Dr.Jit must not look for LLVM by itself.
+_mitsuba("auto")

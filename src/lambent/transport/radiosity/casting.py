@@ -25,6 +25,7 @@ from scipy import sparse
 from lambent.transport.radiosity.patches import Index, Patches
 from lambent.transport.radiosity.probe import Probe, faces_of, lattice
 from lambent.transport.surfaces import NOWHERE, Array
+from lambent.transport.warps import cosine_hemisphere
 
 #: Rays in one launch.
 LAUNCH = 1 << 24
@@ -128,7 +129,7 @@ def _hits(
     u = [lattice(k, shift, d) for d in range(5)]
     _, _, _, p, n = probe.place(patch, u[0], u[1], u[2])
     up = dr.select(side == 0, n, -n)
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[3], u[4]))
+    local = cosine_hemisphere(u[3], u[4])
     start = dr.zeros(mi.Interaction3f, len(faces) * rays)
     start.p, start.n = p, up
     ray = start.spawn_ray(mi.Frame3f(up).to_world(local))

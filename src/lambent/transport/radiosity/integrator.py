@@ -24,6 +24,7 @@ from lambent.transport.radiosity.shows import check_show
 from lambent.transport.radiosity.smooth import at_vertices, vertices_of
 from lambent.transport.radiosity.solution import RadiositySolution
 from lambent.transport.surfaces import NOWHERE, TRIANGLE, surfaces_of
+from lambent.transport.warps import cosine_hemisphere
 
 
 class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
@@ -164,7 +165,7 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
         side = dr.sign(si.wi.z)
         at.p, at.n = si.p, mi.Normal3f(si.sh_frame.n * side)
         direct = arriving(scene, at, sampler.next_2d(), active)
-        wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        wo = cosine_hemisphere(*sampler.next_2d())
         wo.z *= side
         ray = si.spawn_ray(si.to_world(wo))
         there = scene.ray_intersect(ray, +mi.RayFlags.All, mi.Bool(False), active)

@@ -33,9 +33,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from lambent.errors import OptionError
+from lambent.kernels.extremes import greater
 from lambent.transport.radiosity.patches import Index, Patches
 from lambent.transport.radiosity.probe import Probe, lattice
 from lambent.transport.surfaces import TRIANGLE, Array
+from lambent.transport.warps import arctan
 
 #: Points of the outer integral, for near pairs and for those farther apart than `FAR` diameters.
 NEAR_POINTS, FAR_POINTS, FAR = 16, 5, 4.0
@@ -244,7 +246,7 @@ def _contour(p: Array, q: Array, points: int) -> Array:
         unit = [e / dr.select(length > 0, length, 1) for e in edge_q]
         off = [a + s * e - b for a, e, b in zip(p0, edge_p, q0, strict=True)]
         along = _dot(off, unit)
-        d = dr.safe_sqrt(_dot(off, off) - along * along)
+        d = dr.sqrt(greater(_dot(off, off) - along * along, mi.Float64(0)))
         inner = _antiderivative(length - along, d) - _antiderivative(-along, d)
         weight = dr.gather(mi.Float64, weights, g)
         return n + 1, total + dr.select(length > 0, weight * _dot(edge_p, unit) * inner, 0)
@@ -262,7 +264,7 @@ def _contour(p: Array, q: Array, points: int) -> Array:
 def _antiderivative(t: Any, d: Any) -> Any:
     square = t * t + d * d
     safe = dr.select(square > 0, square, 1)
-    angle = dr.atan2(t, dr.select(d > 0, d, 1))
+    angle = arctan(t / dr.select(d > 0, d, 1))
     return 0.5 * t * dr.log(safe) - t + dr.select(d > 0, d * angle, 0)
 
 

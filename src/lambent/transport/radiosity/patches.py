@@ -134,8 +134,9 @@ class Patches:
 
 
 def uniform(surfaces: Surfaces, size: float) -> Cells:
-    """Cells that are no longer than about ``size``: of at most ``size``² area, and not longer than
-    twice ``size``. Raises `OptionError`.
+    """Cells of at most ``size``² area that are not longer than twice ``size``.
+
+    Slivers with next to no area are left as long as they are. Raises `OptionError`.
     """
     if not size > 0:
         raise OptionError(f"patches of size {size:g} cannot be", remedy="give a length above 0")
@@ -150,7 +151,9 @@ def uniform(surfaces: Surfaces, size: float) -> Cells:
     )
     for _ in range(DEEPEST):
         leaves = cells.leaves
-        long = (cells.areas(leaves) > size * size) | (_longest(cells, leaves) > 2 * size)
+        area = cells.areas(leaves) / (size * size)
+        leaves, area = leaves[area > 0.1], area[area > 0.1]
+        long = (area > 1) | (_longest(cells, leaves) > 2 * size)
         if not long.any():
             break
         cells = cells.split(leaves[long])
@@ -164,15 +167,18 @@ def size_for(surfaces: Surfaces, count: int) -> float:
         raise OptionError(
             "the scene has no surface to solve for", remedy="give a scene with shapes"
         )
-    high = np.sqrt(area) * 4
-    low = np.sqrt(area / max(count, 1)) / 64
-    for _ in range(18):
+    # patches are near a square of this size; halves in area only come as powers of four, and
+    # clusters are coarser than squares
+    low, high = (float(np.sqrt(area / count)) * share for share in (0.25, 2.0))
+    best = (np.inf, high)
+    for _ in range(5):
         middle = float(np.sqrt(low * high))
         found = len(cluster(uniform(surfaces, middle), middle))
-        if abs(found - count) <= 0.05 * count:
-            return middle
+        best = min(best, (abs(np.log(found / count)), middle))
+        if best[0] < 0.05:
+            break
         low, high = (middle, high) if found > count else (low, middle)
-    return float(high)
+    return best[1]
 
 
 def cluster(cells: Cells, size: float = 0.0) -> Patches:

@@ -102,8 +102,16 @@ def at_vertices(vertices: Vertices, patches: Patches, values: Array, there: Arra
 
 
 def _number_rows(keys: Index) -> Index:
-    """The same number for the same row."""
-    _, number = np.unique(keys, axis=0, return_inverse=True)
+    """The same number for the same row.
+
+    Rows are hashed to 64 bits first: sorting numbers is several times faster than sorting rows,
+    and among a million rows two fall together once in ten million times.
+    """
+    mixed = np.zeros(len(keys), np.uint64)
+    for column in keys.T.astype(np.uint64):
+        mixed = (mixed ^ column) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    _, number = np.unique(mixed, return_inverse=True)
     return np.asarray(number.ravel())
 
 

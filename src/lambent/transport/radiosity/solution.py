@@ -99,8 +99,8 @@ class RadiositySolution:
             )
 
     def balance(self, surfaces: Surfaces) -> dict[str, float]:
-        """Power in watts, mean of the channels: emitted by surfaces, arriving directly, reflected,
-        absorbed; of all patches.
+        """Power in watts, mean of the channels, of all patches: emitted by surfaces, arriving
+        directly, reflected, absorbed, and what leaves the scene after at least one reflection.
         """
         area = np.repeat(self.patches_on(surfaces).area, 2)[:, None]
 
@@ -108,11 +108,13 @@ class RadiositySolution:
             return float((area * np.asarray(x, np.float64)).sum() / 3)
 
         absorbed = np.where(self.live[:, None], (1 - self.reflectance) * self.irradiance, 0)
+        arrives = watts(np.where(self.live[:, None], self.direct, 0))
         return {
             "emitted": watts(self.emission),
-            "direct": watts(np.where(self.live[:, None], self.direct, 0)),
+            "direct": arrives,
             "reflected": watts(self.reflected),
             "absorbed": watts(absorbed),
+            "escaped": arrives - watts(absorbed),
         }
 
     # ---------------------------------------------------------------- views

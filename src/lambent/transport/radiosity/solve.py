@@ -39,7 +39,9 @@ class Settings:
 
     ``patches``: about so many; or ``size``: their length in the scene's unit. ``rays`` from each
     face for the form factors; ``factors``: "rays" or "pairs" (`lambent.transport.radiosity.pairs`).
-    ``samples`` of the emitters for each face. ``adaptive``: cut finer where the picture changes.
+    ``direct``: light straight from emitters by ``samples`` of them for each face, or "factors",
+    through F like all other light: the textbook's B = (I - ρF)⁻¹ E, which knows no environment and
+    no points, and needs many rays where a lamp is small. ``adaptive``: cut finer where the picture changes.
     ``tolerance``: of the residual, relative; ``steps``, ``seconds``: the most for the solver.
     """
 
@@ -48,7 +50,8 @@ class Settings:
     solver: str = "cg"
     factors: str = "rays"
     rays: int = 256
-    samples: int = 64
+    samples: int = 512
+    direct: str = "samples"
     adaptive: bool = False
     tolerance: float = 1e-6
     steps: int = 1000
@@ -60,6 +63,8 @@ class Settings:
             raise UnknownNameError("solver", self.solver, SOLVERS)
         if self.factors not in ("rays", "pairs"):
             raise UnknownNameError("kind of form factors", self.factors, ("rays", "pairs"))
+        if self.direct not in ("samples", "factors"):
+            raise UnknownNameError("kind of direct light", self.direct, ("samples", "factors"))
         for name in ("patches", "rays", "samples", "steps"):
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}")
@@ -159,7 +164,9 @@ class _Work:
             reflecting = rho.max(axis=1) > 0
             arriving = np.zeros((2 * n, 3))
             at = np.flatnonzero(reflecting)
-            arriving[at] = light.direct(scene, probe, at, wish.samples, wish.seed)
+            shining = seen.emission.max(axis=1) > 0
+            if wish.direct == "samples":
+                arriving[at] = light.direct(scene, probe, at, wish.samples, wish.seed)
         if not (arriving.max(initial=0) > 0 or seen.emission.max(initial=0) > 0):
             raise OptionError(
                 "no light reaches any surface that reflects",
@@ -167,10 +174,17 @@ class _Work:
                 remedy="check the emitters, and the sides of one-sided materials",
             )
         with self.timed("form factors"):
-            live = self._live(patches, probe, reflecting, arriving, words)
+            through_f = wish.direct == "factors"
+            if through_f:
+                reflecting = reflecting | shining  # lamps are seen, whether they reflect or not
+            lit = shining if through_f else arriving.max(axis=1) > 0
+            live = self._live(patches, probe, reflecting, lit, words)
             faces = np.flatnonzero(live)
             area = np.repeat(patches.area, 2)[faces]
             factors, gather, off = self._factors(patches, probe, faces, live, words)
+        if through_f:
+            emitted = seen.emission[faces]
+            arriving[faces] = factors @ emitted if factors is not None else gather(emitted)
         first = rho[faces] * arriving[faces]
         equation = Equation(first, rho[faces], factors, area, gather)
 
@@ -231,14 +245,13 @@ class _Work:
         return sides.ravel()
 
     def _live(
-        self, patches: Patches, probe: Probe, reflecting: Any, arriving: Array, words: str
+        self, patches: Patches, probe: Probe, reflecting: Any, lit: Any, words: str
     ) -> NDArray[np.bool_]:
         """Reflecting faces that light can reach in any number of bounces."""
         from scipy import sparse
         from scipy.sparse.csgraph import connected_components
 
         at = np.flatnonzero(reflecting)
-        lit = arriving.max(axis=1) > 0
         if lit[at].all():
             return np.asarray(reflecting)
         self.progress(0, 1, f"{words}which faces see light")
