@@ -159,7 +159,7 @@ def _store(path: Path, still: Still) -> dict[str, Any]:
             planes.append(layer * np.float32(factor) if name == "colour_std" else layer)
     planes += [_target(still.target) * np.float32(factor)]
     memory = np.clip(np.concatenate(planes), -_MOST, _MOST).astype(np.float16)
-    partial = path.with_suffix(".part.npy")
+    partial = path.with_suffix(f".{os.getpid()}.part.npy")  # another run may unpack it, too
     np.save(partial, memory)
     os.replace(partial, path)
     return {

@@ -39,10 +39,21 @@ from lambent.transport.radiosity.probe import Probe, lattice
 from lambent.transport.surfaces import TRIANGLE, Array
 from lambent.transport.warps import arctan
 
-#: Points of the outer integral, for near pairs and for those farther apart than `FAR` diameters.
-NEAR_POINTS, FAR_POINTS, FAR = 16, 5, 4.0
-#: Rays between two patches at first, and more where some are blocked and some are not.
-RAYS, MORE_RAYS = 16, 112
+#: Points of the outer integral for pairs at least so many radii (of both together) apart.
+POINTS = ((8.0, 2), (3.0, 3), (1.5, 6), (0.0, 16))
+#: Triangles at least so many radii apart: the area integral by points of both.
+DISTANT = 2.5
+#: The rule of degree 4 with six points on a triangle (Dunavant 1985): weight, a, b.
+_RULE = np.array(
+    [
+        (w, *ab)
+        for w, s in ((0.223381589678011, 0.445948490915965), (0.109951743655322, 0.091576213509771))
+        for ab in ((s, s), (s, 1 - 2 * s), (1 - 2 * s, s))
+    ]
+)
+#: Rays between two patches at first, and more where some are blocked and some are not. Sums of
+#: rows of a furnished room of 1,000 triangles are then 0.4 % off, single blocked pairs some percent.
+RAYS = (8, 40)
 #: Pairs in one launch.
 LAUNCH = 1 << 20
 #: Most faces that all pairs of are formed.
@@ -56,20 +67,7 @@ def exchange(p: Array, q: Array) -> Array:
     Units: length squared. After the module's equations.
     """
     p, q = np.asarray(p, np.float64), np.asarray(q, np.float64)
-    p, q = _in_front_of(p, q), _in_front_of(q, p)
-    middle_p, middle_q = p.mean(axis=1), q.mean(axis=1)
-    reach = np.linalg.norm(p - middle_p[:, None], axis=2).max(axis=1) + np.linalg.norm(
-        q - middle_q[:, None], axis=2
-    ).max(axis=1)
-    apart = np.linalg.norm(middle_p - middle_q, axis=1)
-    far = apart > FAR * np.maximum(reach, 1e-300)
-    found = np.zeros(len(p))
-    for some, points in ((far, FAR_POINTS), (~far, NEAR_POINTS)):
-        at = np.flatnonzero(some)
-        for first in range(0, len(at), LAUNCH):
-            part = at[first : first + LAUNCH]
-            found[part] = _contour(p[part], q[part], points)
-    return np.maximum(found, 0.0)
+    return _integrals(_in_front_of(p, q), _in_front_of(q, p))
 
 
 def form_factor(p: Array, q: Array) -> float:
@@ -143,18 +141,30 @@ def exchange_matrix(
     normal = _vector_area(corners)
     size = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = normal / size
+    middle = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+    flat = mi.Float(corners.astype(np.float32).ravel())
+    up = mi.Float((normal * size).astype(np.float32).ravel())
     rows, columns, values = [], [], []
     block = max(1, LAUNCH // max(1, len(faces)))
     for first in range(0, len(faces), block):
         i = np.arange(first, min(first + block, len(faces)))
-        # who is not wholly behind whom
-        ahead = _any_ahead(corners[i], normal, corners) & _any_ahead(
-            corners, normal[i], corners[i]
-        ).T
-        ahead &= i[:, None] < np.arange(len(faces))[None, :]
-        a, b = np.nonzero(ahead)
+        # who is before whose plane, wholly or in part
+        some, whole = _ahead(corners[i], normal, corners)
+        back_some, back_whole = _ahead(corners, normal[i], corners[i])
+        seen = some & back_some.T
+        seen &= i[:, None] < np.arange(len(faces))[None, :]
+        a, b = np.nonzero(seen)
+        clear = (whole & back_whole.T)[a, b]
         a = i[a]
-        g = exchange(corners[a], corners[b])
+        g = np.zeros(len(a))
+        c, d = a[clear], b[clear]
+        apart = np.linalg.norm(middle[c] - middle[d], axis=1) / (radius[c] + radius[d])
+        g[clear] = np.where(apart >= DISTANT, _by_points(flat, up, c, d, apart), 0)
+        near = apart < DISTANT
+        at = np.flatnonzero(clear)[near]
+        g[at] = _integrals(corners, corners, c[near], d[near], apart[near])
+        g[~clear] = exchange(corners[a[~clear]], corners[b[~clear]])
         good = g > 1e-12 * np.sqrt(size[a, 0] * size[b, 0])
         a, b, g = a[good], b[good], g[good]
         g = g * visible(scene, corners, normal, a, b, seed)
@@ -172,7 +182,7 @@ def exchange_matrix(
     area = np.repeat(patches.area, 2)[faces]
     # in a closed scene rows sum to one; what is missing is light that leaves, or an error. Rays
     # tell the one from the other
-    found = cast(scene, patches, probe, faces, live, 1024, seed)
+    found = cast(scene, patches, probe, faces, live, 256, seed)
     seen = np.asarray(found.shares[:, faces].sum(axis=1)).ravel()
     sums = np.asarray(g.sum(axis=1)).ravel() / area
     open_ = seen < 1 - 1e-9
@@ -195,20 +205,26 @@ def face_corners(patches: Patches, faces: Index) -> Array:
 
 
 def visible(
-    scene: Any, corners: Array, normal: Array, a: Index, b: Index, seed: int = 0
+    scene: Any,
+    corners: Array,
+    normal: Array,
+    a: Index,
+    b: Index,
+    seed: int = 0,
+    rays: tuple[int, int] = RAYS,
 ) -> Array:
     """The share ``(N,)`` of the light between faces ``a`` and ``b`` that nothing blocks.
 
-    Points on both, weighed by cos cos / r²; `RAYS` first, `MORE_RAYS` where they do not agree.
+    Points on both, weighed by cos cos / r²; ``rays[0]`` first, ``rays[1]`` more where they disagree.
     """
     if len(a) == 0:
         return np.zeros(0)
     flat = mi.Float(corners.astype(np.float32).ravel())
     up = mi.Float(normal.astype(np.float32).ravel())
-    blocked, total = _through(scene, flat, up, a, b, RAYS, 0, seed)
+    blocked, total = _through(scene, flat, up, a, b, rays[0], 0, seed)
     mixed = np.flatnonzero((blocked > 0) & (blocked < total))
     if len(mixed):
-        more, sums = _through(scene, flat, up, a[mixed], b[mixed], MORE_RAYS, RAYS, seed)
+        more, sums = _through(scene, flat, up, a[mixed], b[mixed], rays[1], rays[0], seed)
         blocked[mixed] += more
         total[mixed] += sums
     return np.asarray(1 - np.divide(blocked, total, out=np.zeros_like(total), where=total > 0))
@@ -217,43 +233,123 @@ def visible(
 # ------------------------------------------------------------------- private
 
 
-def _contour(p: Array, q: Array, points: int) -> Array:
-    """The module's sum, in double precision: small numbers are differences of large ones."""
-    count, edges_p, edges_q = len(p), p.shape[1], q.shape[1]
-    if count == 0:
-        return np.zeros(0)
+def _integrals(
+    p: Array,
+    q: Array,
+    a: Index | None = None,
+    b: Index | None = None,
+    apart: Array | None = None,
+) -> Array:
+    """The module's sum for pairs ``p[a]``, ``q[b]`` that are wholly before one another."""
+    if a is None or b is None:
+        a = b = np.arange(len(p))
+    if apart is None:
+        middle_p, middle_q = p.mean(axis=1), q.mean(axis=1)
+        reach = np.linalg.norm(p - middle_p[:, None], axis=2).max(axis=1) + np.linalg.norm(
+            q - middle_q[:, None], axis=2
+        ).max(axis=1)
+        apart = np.linalg.norm(middle_p - middle_q, axis=1) / np.maximum(reach, 1e-300)
+    found = np.zeros(len(a))
+    flat_p = mi.Float64(np.ascontiguousarray(p).ravel())
+    flat_q = flat_p if q is p else mi.Float64(np.ascontiguousarray(q).ravel())
+    high = np.inf
+    for low, points in POINTS:
+        at = np.flatnonzero((apart >= low) & (apart < high))
+        high = low
+        for first in range(0, len(at), LAUNCH):
+            part = at[first : first + LAUNCH]
+            found[part] = _contour(
+                flat_p, flat_q, p.shape[1], q.shape[1], a[part], b[part], points
+            )
+    return np.maximum(found, 0.0)
+
+
+def _by_points(flat: Any, up: Any, a: Index, b: Index, apart: Array) -> Array:
+    """A_a F_ab of distant triangles: Σ w w' (n · r) (n' · -r) / (π r⁴), n as long as the areas.
+
+    Its error falls with the fifth power of size over distance: below 1e-5 of the factor here.
+    """
+    far = np.flatnonzero(apart >= DISTANT)
+    found = np.zeros(len(a))
+    weights, first, second = (mi.Float(_RULE[:, k].astype(np.float32)) for k in range(3))
+    count = len(_RULE)
+    for start in range(0, len(far), LAUNCH):
+        part = far[start : start + LAUNCH]
+        i, j = (mi.UInt32(x[part].astype(np.uint32)) for x in (a, b))
+        n_i, n_j = (dr.gather(mi.Vector3f, up, k) for k in (i, j))
+        p = [dr.gather(mi.Point3f, flat, 3 * i + k) for k in range(3)]
+        q = [dr.gather(mi.Point3f, flat, 3 * j + k) for k in range(3)]
+
+        def step(
+            k: Any, total: Any, p: Any = p, q: Any = q, n_i: Any = n_i, n_j: Any = n_j
+        ) -> Any:
+            at, to = k % count, k // count
+            s, t = dr.gather(mi.Float, first, at), dr.gather(mi.Float, second, at)
+            x = p[0] + s * (p[1] - p[0]) + t * (p[2] - p[0])
+            s, t = dr.gather(mi.Float, first, to), dr.gather(mi.Float, second, to)
+            y = q[0] + s * (q[1] - q[0]) + t * (q[2] - q[0])
+            way = y - x
+            square = dr.squared_norm(way)
+            weight = dr.gather(mi.Float, weights, at) * dr.gather(mi.Float, weights, to)
+            kernel = dr.dot(n_i, way) * -dr.dot(n_j, way) / (square * square)
+            return k + 1, total + weight * kernel
+
+        _, total = dr.while_loop(
+            (mi.UInt32(0), dr.zeros(mi.Float, len(part))),
+            lambda k, total: k < count * count,
+            step,
+            label="points of two triangles",
+        )
+        found[part] = total.numpy()
+    return found / np.pi
+
+
+def _contour(
+    flat_p: Any, flat_q: Any, edges_p: int, edges_q: int, a: Index, b: Index, points: int
+) -> Array:
+    """In double precision: small numbers are differences of large ones."""
     u, w = np.polynomial.legendre.leggauss(points)
     u, w = (u + 1) / 2, w / 2
-    place, weight = u * u * (3 - 2 * u), w * 6 * u * (1 - u)
-    flat_p, flat_q = mi.Float64(p.ravel()), mi.Float64(q.ravel())
-    places, weights = mi.Float64(place), mi.Float64(weight)
-    lane = dr.arange(mi.UInt32, count)
+    if points > 6:  # near enough to touch: towards the ends
+        u, w = u * u * (3 - 2 * u), w * 6 * u * (1 - u)
+    places, weights = mi.Float64(u), mi.Float64(w)
+    first_p = mi.UInt32((a * edges_p).astype(np.uint32))
+    first_q = mi.UInt32((b * edges_q).astype(np.uint32))
 
-    def corner(flat: Any, edges: int, k: Any) -> Any:
-        base = 3 * (lane * edges + k)
+    def corner(flat: Any, first: Any, k: Any) -> Any:
+        base = 3 * (first + k)
         return [dr.gather(mi.Float64, flat, base + c) for c in range(3)]
 
-    def step(n: Any, total: Any) -> Any:
-        g = n % points
-        e = n // points
-        i, j = e % edges_p, e // edges_p
-        p0, p1 = corner(flat_p, edges_p, i), corner(flat_p, edges_p, (i + 1) % edges_p)
-        q0, q1 = corner(flat_q, edges_q, j), corner(flat_q, edges_q, (j + 1) % edges_q)
-        s = dr.gather(mi.Float64, places, g)
-        edge_p = [b - a for a, b in zip(p0, p1, strict=True)]
-        edge_q = [b - a for a, b in zip(q0, q1, strict=True)]
-        length = dr.sqrt(_dot(edge_q, edge_q))
+    def side(i: Any, j: Any, total: Any) -> Any:
+        p0, p1 = corner(flat_p, first_p, i), corner(flat_p, first_p, (i + 1) % edges_p)
+        q0, q1 = corner(flat_q, first_q, j), corner(flat_q, first_q, (j + 1) % edges_q)
+        edge_p = [x - y for x, y in zip(p1, p0, strict=True)]
+        edge_q = [x - y for x, y in zip(q1, q0, strict=True)]
+        square = _dot(edge_q, edge_q)
+        length = dr.sqrt(square)
         unit = [e / dr.select(length > 0, length, 1) for e in edge_q]
-        off = [a + s * e - b for a, e, b in zip(p0, edge_p, q0, strict=True)]
-        along = _dot(off, unit)
-        d = dr.sqrt(greater(_dot(off, off) - along * along, mi.Float64(0)))
-        inner = _antiderivative(length - along, d) - _antiderivative(-along, d)
-        weight = dr.gather(mi.Float64, weights, g)
-        return n + 1, total + dr.select(length > 0, weight * _dot(edge_p, unit) * inner, 0)
+        cosine = _dot(edge_p, unit)
+        start = [x - y for x, y in zip(p0, q0, strict=True)]
 
-    rounds = mi.UInt32(edges_p * edges_q * points)
+        def point(g: Any, sums: Any) -> Any:
+            s = dr.gather(mi.Float64, places, g)
+            off = [x + s * e for x, e in zip(start, edge_p, strict=True)]
+            along = _dot(off, unit)
+            d = dr.sqrt(greater(_dot(off, off) - along * along, mi.Float64(0)))
+            inner = _inner(-along, length - along, d)
+            return g + 1, sums + dr.gather(mi.Float64, weights, g) * inner
+
+        _, sums = dr.while_loop(
+            (mi.UInt32(0), mi.Float64(0)), lambda g, sums: g < points, point, label="points"
+        )
+        return total + dr.select(length > 0, cosine * sums, 0)
+
+    def step(n: Any, total: Any) -> Any:
+        return n + 1, side(n % edges_p, n // edges_p, total)
+
+    rounds = mi.UInt32(edges_p * edges_q)
     _, total = dr.while_loop(
-        (mi.UInt32(0), dr.zeros(mi.Float64, count)),
+        (mi.UInt32(0), dr.zeros(mi.Float64, len(a))),
         lambda n, total: n < rounds,
         step,
         label="edges",
@@ -261,11 +357,19 @@ def _contour(p: Array, q: Array, points: int) -> Array:
     return np.asarray(total.numpy()) / (2 * np.pi)
 
 
-def _antiderivative(t: Any, d: Any) -> Any:
-    square = t * t + d * d
-    safe = dr.select(square > 0, square, 1)
-    angle = arctan(t / dr.select(d > 0, d, 1))
-    return 0.5 * t * dr.log(safe) - t + dr.select(d > 0, d * angle, 0)
+def _inner(low: Any, high: Any, d: Any) -> Any:
+    """∫ ½ ln(t² + d²) dt from ``low`` to ``high``, with one arc tangent for both ends."""
+    square = d * d
+    at_low, at_high = low * low + square, high * high + square
+    logs = 0.5 * (
+        high * dr.log(dr.select(at_high > 0, at_high, 1))
+        - low * dr.log(dr.select(at_low > 0, at_low, 1))
+    )
+    # the angle under which the side is seen from the point, by its half
+    across, along = d * (high - low), square + low * high
+    whole = dr.sqrt(across * across + along * along) + along
+    angle = dr.select(whole > 0, 2 * arctan(across / dr.select(whole > 0, whole, 1)), dr.pi)
+    return logs - (high - low) + d * angle
 
 
 def _dot(a: list[Any], b: list[Any]) -> Any:
@@ -323,12 +427,19 @@ def _in_front_of(p: Array, q: Array) -> Array:
     return np.asarray(out)
 
 
-def _any_ahead(corners: Array, normals: Array, others: Array) -> NDArray[np.bool_]:
-    """``(N, M)``: whether any corner of ``corners[i]`` is before the plane of face ``j``."""
+def _ahead(
+    corners: Array, normals: Array, others: Array
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """``(N, M)``: whether any, and whether all corners of ``corners[i]`` are before face ``j``."""
     offset = (normals * others[:, 0]).sum(axis=1)
-    height = np.einsum("nkc,mc->nkm", corners, normals) - offset
     scale = 1e-7 * (np.abs(others).max() + 1e-300)
-    return np.asarray((height > scale).any(axis=1))
+    some = np.zeros((len(corners), len(others)), bool)
+    whole = np.ones_like(some)
+    for k in range(corners.shape[1]):
+        height = corners[:, k] @ normals.T - offset
+        some |= height > scale
+        whole &= height > -scale
+    return some, whole
 
 
 def _through(
