@@ -62,7 +62,7 @@ def test_features_are_the_lamp_s_own_or_left_alone():
 def test_drawn_lamps_are_small_and_whole():
     rng = np.random.default_rng(4)
     covers = [lamps.draw((64, 64), rng).cover for _ in range(200)]
-    assert all(0 <= c.min() and c.max() <= 1 for c in covers)
+    assert all(c.min() >= 0 and c.max() <= 1 for c in covers)
     areas = np.array([c.sum() for c in covers])
     assert np.median(areas) < 40
     assert (areas > 0).mean() > 0.95

@@ -97,7 +97,7 @@ def test_a_blocker_takes_its_share():
     corners = np.concatenate([low, high])
     normal = np.repeat([[0.0, 0, 1], [0, 0, -1]], 2, axis=0)
     a, b = np.array([0, 0, 1, 1]), np.array([2, 3, 2, 3])
-    share = pairs.visible(scene, corners, normal, a, b, rays=(64, 448))
+    share = pairs.visible(scene, corners, normal, a, b, rays=(512, 8000))
     found = (exchange(corners[a], corners[b]) * share).sum()
 
     def blocked(x, y):

@@ -278,10 +278,9 @@ def test_wishes_that_cannot_be():
         solved(boxes.room(), colour=3)
     with pytest.raises(OptionError, match="patches"):
         solved(boxes.room(), patches=0)
+    curved = {**boxes.room(), "ball": {"type": "sphere", "radius": 0.2}}
     with pytest.raises(OptionError, match="one triangle each"):
-        scene = boxes.room()
-        scene["ball"] = {"type": "sphere", "radius": 0.2}
-        solved(scene, factors="pairs")
+        solved(curved, factors="pairs")
 
 
 def test_the_direct_solver_says_what_it_would_take(monkeypatch):

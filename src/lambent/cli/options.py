@@ -110,7 +110,9 @@ def point_of(option: str, text: str | None) -> tuple[float, float, float] | None
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise OptionError(f"{option} '{text}' is no point", remedy=f"write {option} 1,2,3") from None
+        raise OptionError(
+            f"{option} '{text}' is no point", remedy=f"write {option} 1,2,3"
+        ) from None
     return x, y, z
 
 

@@ -121,8 +121,13 @@ def view(
     from lambent.transport import solution as look
 
     opened = look.open_solution(solution)
-    where = {"scene": scene, "camera": camera, "size": size_of(size), "device": device}
-    looks = {"show": show, "spp": spp, "features": features, "seed": seed}
+    where: dict[str, Any] = {
+        "scene": scene,
+        "camera": camera,
+        "size": size_of(size),
+        "device": device,
+    }
+    looks: dict[str, Any] = {"show": show, "spp": spp, "features": features, "seed": seed}
     if suffix == ".png" or suffix in FILMS:
         looks["features"] = "none"
     written = []
@@ -147,8 +152,8 @@ def view(
     if as_json:
         print_json({"written": written, "show": show})
         return
-    for path in written:
-        print(path)
+    for name in written:
+        print(name)
 
 
 # ------------------------------------------------------------------- private

@@ -18,8 +18,8 @@ import numpy as np
 
 from lambent.denoise.inputs import constants, divisor, encode, pack
 from lambent.frame.layer import FloatImage
-from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
 from lambent.learn import lamps
+from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
 from lambent.learn.cache import Cached
 
 #: Share of the frames that get a splatted pixel filter.

@@ -14,6 +14,7 @@ and the other half have an albedo, a normal and a depth of their own.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +44,7 @@ class Lamp:
 def draw(shape: tuple[int, int], rng: np.random.Generator) -> Lamp:
     """A disc, an ellipse, a bar or a polygonal panel somewhere in a picture."""
     height, width = shape
-    half = np.exp(rng.uniform(*np.log(SIZE), 2))
+    half = np.exp(rng.uniform(math.log(SIZE[0]), math.log(SIZE[1]), 2))
     if rng.random() < 0.4:
         half[1] = half[0]
     if rng.random() < 0.15:  # a tube
@@ -66,7 +67,7 @@ def draw(shape: tuple[int, int], rng: np.random.Generator) -> Lamp:
         cells = inside.reshape(bottom - top, _FINE, right - left, _FINE)
         cover[top:bottom, left:right] = cells.mean((1, 3))
     tint = np.exp(rng.normal(0, 0.3, 3))
-    level = np.exp(rng.uniform(*np.log(RADIANCE)))
+    level = np.exp(rng.uniform(math.log(RADIANCE[0]), math.log(RADIANCE[1])))
     return Lamp(cover, (level * tint / tint.mean()).astype(np.float32), rng.random() < 0.5)
 
 

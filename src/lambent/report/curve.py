@@ -34,7 +34,8 @@ def curve(curves: Mapping[str, Sequence[tuple[float, float]]], across: str = "st
             f'<text x="{left - 8}" y="{v + 4:.1f}" text-anchor="end">{10**y:.3g}</text>'
         )
     marks.append(f'<text x="{left}" y="{height - 8}">0</text>')
-    marks.append(f'<text x="{width - right}" y="{height - 8}" text-anchor="end">{escape(across)} {x1:g}</text>')
+    last = f"{escape(across)} {x1:g}"
+    marks.append(f'<text x="{width - right}" y="{height - 8}" text-anchor="end">{last}</text>')
     ends: list[tuple[float, str]] = []
     for name, curve in curves.items():
         there = [at(x, math.log10(y)) for x, y in curve if y > 0]

@@ -59,12 +59,16 @@ def write_solving(
     facts += [(f"Time, {what}", f"{s:.1f} s") for what, s in solution.seconds.items()]
     terms = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts)
     body = f'{reload}<section><dl class="facts">{terms}</dl></section>'
-    body += f'<section class="growing">{_shown(pictures["smooth"], exposure, "the light")}</section>'
+    body += (
+        f'<section class="growing">{_shown(pictures["smooth"], exposure, "the light")}</section>'
+    )
     if len(history.steps) > 1:
         points = list(zip(history.steps, history.residuals, strict=True))
         body += f"<section><h2>Residual</h2>{curve({'residual': points}, across='step')}</section>"
     if len(grown) > 1:
-        chosen = np.unique(np.linspace(0, len(grown) - 1, min(STRIP, len(grown))).round().astype(int))
+        chosen = np.unique(
+            np.linspace(0, len(grown) - 1, min(STRIP, len(grown))).round().astype(int)
+        )
         strip = "".join(_figure(grown[k][1], exposure, f"step {grown[k][0]}") for k in chosen)
         body += f'<section><h2>How it grew</h2><div class="gallery">{strip}</div></section>'
     others = [kind for kind in pictures if kind != "smooth"]

@@ -8,7 +8,7 @@ from lambent.render.variant import mitsuba
 
 
 def furnished_room(size: tuple[int, int] = (256, 256)) -> dict[str, Any]:
-    """A closed room of edge 2 with coloured walls, a lamp under the ceiling, two blocks that stand off the floor."""
+    """A closed room of edge 2: coloured walls, a lamp, two blocks that stand off the floor."""
     transform = mitsuba().ScalarTransform4f
 
     def paint(value: Any) -> dict[str, Any]:

@@ -138,9 +138,11 @@ def film(
     from lambent.render.variant import mitsuba
 
     loaded = scene_of(solution, scene, camera=camera, size=size, device=device)
-    moving = animation
+    moving: Animation
     if isinstance(animation, (str, os.PathLike)):
-        moving = read_keyframes(animation)
+        moving = read_keyframes(Path(animation))
+    else:
+        moving = animation
     stage = Stage(mitsuba(), loaded.scene, loaded.sensor, moving)
     shown = solution.integrator(show)
     numbers = tuple(frames)

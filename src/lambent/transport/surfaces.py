@@ -45,7 +45,8 @@ class Surfaces:
 
     ``kind`` ``(P,)``; ``matrix`` ``(P, 3, 4)``: M above; ``area`` ``(P,)`` in the scene's unit
     squared; ``flip`` ``(P,)``: -1 where the scene turns the normal round; ``shape`` ``(P,)``:
-    index into ``shapes``; ``index`` ``(P,)``: number within the shape. ``degenerate``: triangles without area, kept so that numbers match.
+    index into ``shapes``; ``index`` ``(P,)``: number within the shape. ``degenerate``: how many
+    triangles have no area; they are kept, so that numbers match.
     ``left_out``: shapes that are black, by class name and how many.
     """
 

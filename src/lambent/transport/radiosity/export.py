@@ -102,7 +102,9 @@ def write_gltf(path: str | os.PathLike[str], lit: LitMesh, overwrite: bool = Fal
         target = g.ELEMENT_ARRAY_BUFFER if k == 0 else g.ARRAY_BUFFER
         views.append(g.BufferView(buffer=0, byteOffset=at, byteLength=len(part), target=target))
         at += len(part)
-    low, high = (getattr(lit.position.astype(np.float32), f)(axis=0).tolist() for f in ("min", "max"))
+    low, high = (
+        getattr(lit.position.astype(np.float32), f)(axis=0).tolist() for f in ("min", "max")
+    )
     count = len(lit.position)
     document = g.GLTF2(
         asset=g.Asset(version="2.0", generator="Lambent"),
@@ -205,9 +207,7 @@ def lightmap(solution: RadiositySolution, scene: Any, surfaces: Surfaces) -> Lig
     return Lightmap(image, uv, covered)
 
 
-def write_lightmap(
-    path: str | os.PathLike[str], made: Lightmap, overwrite: bool = False
-) -> Path:
+def write_lightmap(path: str | os.PathLike[str], made: Lightmap, overwrite: bool = False) -> Path:
     """The image as EXR, and beside it ``NAME.uv.json``: where every primitive is in it."""
     from lambent.frame.files import write
     from lambent.frame.frame import Frame

@@ -35,7 +35,7 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
         self.show = str(props.get("show", "smooth"))
         check_show(self.show)
         path = props.get("solution", None)
-        self.solution = None if path is None else RadiositySolution.load(str(path))
+        self.solution: Any = None if path is None else RadiositySolution.load(str(path))
         self._ready_for: Any = None
 
     @classmethod

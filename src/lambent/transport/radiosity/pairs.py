@@ -52,7 +52,8 @@ _RULE = np.array(
     ]
 )
 #: Rays between two patches at first, and more where some are blocked and some are not. Sums of
-#: rows of a furnished room of 1,000 triangles are then 0.4 % off, single blocked pairs some percent.
+#: rows of a furnished room of 1,000 triangles are then 0.4 % off, single blocked pairs some
+#: percent.
 RAYS = (8, 40)
 #: Pairs in one launch.
 LAUNCH = 1 << 20
@@ -215,7 +216,8 @@ def visible(
 ) -> Array:
     """The share ``(N,)`` of the light between faces ``a`` and ``b`` that nothing blocks.
 
-    Points on both, weighed by cos cos / r²; ``rays[0]`` first, ``rays[1]`` more where they disagree.
+    Points on both, weighed by cos cos / r²; ``rays[0]`` first, ``rays[1]`` more where
+    they disagree.
     """
     if len(a) == 0:
         return np.zeros(0)
@@ -258,9 +260,7 @@ def _integrals(
         high = low
         for first in range(0, len(at), LAUNCH):
             part = at[first : first + LAUNCH]
-            found[part] = _contour(
-                flat_p, flat_q, p.shape[1], q.shape[1], a[part], b[part], points
-            )
+            found[part] = _contour(flat_p, flat_q, p.shape[1], q.shape[1], a[part], b[part], points)
     return np.maximum(found, 0.0)
 
 
@@ -280,9 +280,7 @@ def _by_points(flat: Any, up: Any, a: Index, b: Index, apart: Array) -> Array:
         p = [dr.gather(mi.Point3f, flat, 3 * i + k) for k in range(3)]
         q = [dr.gather(mi.Point3f, flat, 3 * j + k) for k in range(3)]
 
-        def step(
-            k: Any, total: Any, p: Any = p, q: Any = q, n_i: Any = n_i, n_j: Any = n_j
-        ) -> Any:
+        def step(k: Any, total: Any, p: Any = p, q: Any = q, n_i: Any = n_i, n_j: Any = n_j) -> Any:
             at, to = k % count, k // count
             s, t = dr.gather(mi.Float, first, at), dr.gather(mi.Float, second, at)
             x = p[0] + s * (p[1] - p[0]) + t * (p[2] - p[0])
@@ -377,7 +375,7 @@ def _dot(a: list[Any], b: list[Any]) -> Any:
 
 
 def _vector_area(p: Array) -> Array:
-    """Half the sum of the edges' cross products ``(N, 3)``: along the normal, as long as the area."""
+    """Half the sum of the edges' cross products ``(N, 3)``: the normal, as long as the area."""
     return np.asarray(np.cross(p - p[:, :1], np.roll(p, -1, axis=1) - p[:, :1]).sum(axis=1) / 2)
 
 

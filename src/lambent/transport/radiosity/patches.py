@@ -218,7 +218,7 @@ def cluster(cells: Cells, size: float = 0.0) -> Patches:
         start,
         cell_patch,
         areas[order],
-        np.bincount(patch, areas, minlength=count),
+        np.bincount(patch, areas, minlength=count).astype(np.float64),
     )
 
 

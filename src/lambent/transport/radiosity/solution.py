@@ -86,7 +86,7 @@ class RadiositySolution:
         start = np.searchsorted(patch[order], np.arange(len(self) + 1))
         return Patches(
             cells, leaf[order], start, self.cell_patch, area[order],
-            np.bincount(patch, area, minlength=len(self)),
+            np.bincount(patch, area, minlength=len(self)).astype(np.float64),
         )  # fmt: skip
 
     def check(self, surfaces: Surfaces, scene: object = None) -> None:

@@ -16,7 +16,7 @@ from lambent.transport.diffuse import assumptions, is_two_sided
 from lambent.transport.radiosity import adaptive, light
 from lambent.transport.radiosity.balance import balanced, symmetric
 from lambent.transport.radiosity.casting import cast, gathered
-from lambent.transport.radiosity.patches import Cells, Patches, cluster, size_for, uniform
+from lambent.transport.radiosity.patches import Patches, cluster, size_for, uniform
 from lambent.transport.radiosity.probe import Probe
 from lambent.transport.radiosity.solution import RadiositySolution, digest_of
 from lambent.transport.radiosity.solvers import SOLVERS, Equation, History, run
@@ -41,7 +41,8 @@ class Settings:
     face for the form factors; ``factors``: "rays" or "pairs" (`lambent.transport.radiosity.pairs`).
     ``direct``: light straight from emitters by ``samples`` of them for each face, or "factors",
     through F like all other light: the textbook's B = (I - ρF)⁻¹ E, which knows no environment and
-    no points, and needs many rays where a lamp is small. ``adaptive``: cut finer where the picture changes.
+    no points, and needs many rays where a lamp is small. ``adaptive``: cut finer where the picture
+    changes.
     ``tolerance``: of the residual, relative; ``steps``, ``seconds``: the most for the solver.
     """
 
@@ -258,7 +259,9 @@ class _Work:
         found = cast(self.scene, patches, probe, at, reflecting, SCOUTS, self.settings.seed)
         size = len(reflecting)
         hits = found.shares.tocoo()
-        graph = sparse.coo_matrix((np.ones(hits.nnz, np.int8), (at[hits.row], hits.col)), (size,) * 2)
+        graph = sparse.coo_matrix(
+            (np.ones(hits.nnz, np.int8), (at[hits.row], hits.col)), (size,) * 2
+        )
         _, part = connected_components(graph, directed=False)
         bright = np.zeros(part.max() + 1, bool)
         bright[part[lit & reflecting]] = True
@@ -272,9 +275,7 @@ class _Work:
         if wish.solver == "matrix-free":
 
             def gather(x: Array) -> Array:
-                return gathered(
-                    self.scene, patches, probe, faces, live, x, wish.rays, wish.seed
-                )
+                return gathered(self.scene, patches, probe, faces, live, x, wish.rays, wish.seed)
 
             return None, gather, 0.0
         area = np.repeat(patches.area, 2)[faces]
@@ -285,7 +286,8 @@ class _Work:
                 self.scene, patches, probe, faces, live, wish.seed,
                 lambda done, total: self.progress(done, total, f"{words}form factors by pairs"),
             )  # fmt: skip
-            return (*balanced(g, area, seen),)[:1] + (None, 0.0)
+            factors, off = balanced(g, area, seen)
+            return factors, None, off
         found = cast(
             self.scene, patches, probe, faces, live, wish.rays, wish.seed,
             lambda done, total: self.progress(done, total, f"{words}form factors by rays"),

@@ -33,7 +33,7 @@ Steps = Iterator[Array]
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """B = b + ρ F B. ``area`` ``(n,)``. ``gather``: F @ x by rays, where there is no ``factors``."""
+    """B = b + ρ F B. ``area`` ``(n,)``. ``gather``: F @ x by rays, if there is no ``factors``."""
 
     first: Array
     reflectance: Array
