@@ -3,6 +3,10 @@
 The step of a leaf is how much its radiosity differs between its corners, relative to what the eye
 would compare it with; squared and times the area it is the leaf's share of relMSE. Leaves with the
 largest shares are cut in four, which lets the step shrink to about half in each.
+
+(Tried instead: how far a leaf's own value is from the mean of its corners, which is 0 on even
+gradients. It cuts along the borders of every wall, where corners know one side only; relMSE of a
+Cornell box of 4,000 patches came out 1.4 times as high.)
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ def shares(patches: Patches, radiosity: Array, there: Array) -> Array:
         step = np.nanmax(corners, axis=1) - np.nanmin(corners, axis=1)
         mean = np.nanmean(corners, axis=1)
         patch = np.repeat(np.arange(len(patches)), np.diff(patches.start))
-        relative = step / (mean + 0.02 * usual + 1e-30)
+        relative = step / (mean + 0.1 * usual + 1e-30)
         found += np.where(there[side::2][patch] > 0, relative**2, 0) * patches.leaf_area
     return found
 

@@ -181,16 +181,19 @@ def size_for(surfaces: Surfaces, count: int) -> float:
     return best[1]
 
 
-def cluster(cells: Cells, size: float = 0.0) -> Patches:
+def cluster(cells: Cells, size: float = 0.0, among: int | None = None) -> Patches:
     """Leaves to patches; leaves well below ``size`` share one with their neighbours.
 
     Neighbours are leaves of the same shape in the same cube of edge ``size`` whose normals go the
-    same way (the nearest of 26 directions). ``size`` 0: every leaf for itself.
+    same way (the nearest of 26 directions). ``size`` 0: every leaf for itself. ``among``: only the first
+    so many cells may share; those that were cut later were cut on purpose.
     """
     leaves = cells.leaves
     areas = cells.areas(leaves)
     key = np.arange(len(leaves), dtype=np.int64)
     small = areas < 0.25 * size * size
+    if among is not None:
+        small &= leaves < among
     if small.any():
         prim = cells.prim[leaves[small]]
         middle = cells.corner[leaves[small]].astype(np.float64).mean(axis=1)

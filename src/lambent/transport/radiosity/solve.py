@@ -26,8 +26,8 @@ from lambent.transport.surfaces import Array, Surfaces, surfaces_of
 SCOUTS = 64
 #: Seconds from one look of a watcher to the next, at least.
 WATCH_EVERY = 2.0
-#: Rounds of refinement.
-ROUNDS = 3
+#: Rounds of refinement; each but the last adds half of what is left.
+ROUNDS = 4
 
 Progress = Callable[[float, float, str], None]
 Watch = Callable[[RadiositySolution], None]
@@ -121,18 +121,19 @@ class _Work:
         self.next_watch = 0.0
 
     def begin(self) -> RadiositySolution:
-        """Cut and solve; with ``adaptive`` from a quarter of the patches up."""
+        """Cut and solve; with ``adaptive`` from a sixth of the patches up."""
         wish = self.settings
         self.progress(0, 1, "cutting the surfaces")
-        aim = wish.patches if not wish.adaptive else max(64, wish.patches // 4)
+        aim = wish.patches if not wish.adaptive else max(64, wish.patches // 6)
         size = wish.size or size_for(self.surfaces, aim)
         cells = uniform(self.surfaces, size)
         if not wish.adaptive:
             return self.once(cluster(cells, size), None, "")
         rough = replace(wish, rays=max(32, wish.rays // 4), tolerance=1e-3, solver="cg")
         final = wish
+        base = len(cells.child)
         for round_ in range(ROUNDS):
-            patches = cluster(cells, size)
+            patches = cluster(cells, size, base)
             left = wish.patches - len(patches)
             if left <= 0:
                 break
@@ -142,7 +143,7 @@ class _Work:
             more = left if round_ == ROUNDS - 1 else left // 2
             cells = adaptive.refined(patches, share, more)
         self.settings = final
-        return self.once(cluster(cells, size), None, "")
+        return self.once(cluster(cells, size, base), None, "")
 
     def go_on(self, start: RadiositySolution) -> RadiositySolution:
         """The same patches, from what was reached."""
