@@ -282,3 +282,19 @@ def test_ctrl_c_says_how_to_go_on(recipe, made, tmp_path, options):
     assert verify(folder).sound
     assert main(["dataset", "make", str(recipe_file), "-o", str(folder)]) == 0
     assert contents(folder) == contents(made)
+
+
+def test_a_part_of_a_set_is_the_same_part_of_the_whole(made, recipe, tmp_path):
+    place = tmp_path / "part"
+    outcome = make(recipe, place, first=6, first_clip=2)
+    assert (outcome.made, outcome.left) == (5, 0)
+    whole, part = contents(made), contents(place)
+    assert len(part) == 5
+    assert all(whole[name] == digest for name, digest in part.items())
+    again = make(recipe, place, first=6, first_clip=2)
+    assert (again.made, again.before, again.left) == (0, 5, 0)
+    rest = make(recipe, place)
+    assert rest.made == 8
+    assert contents(place) == whole
+    with pytest.raises(OptionError, match="numbered from 0"):
+        make(recipe, place, first=-1)

@@ -49,3 +49,26 @@ def test_folders_count_from_the_recipe(tmp_path):
 @pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda p: p.stem)
 def test_our_own_recipes_load(path):
     assert load_train_recipe(path).steps > 1000
+
+
+def test_a_set_that_is_named_by_its_recipe_is_made_first(tmp_path, monkeypatch):
+    from lambent.learn import data
+    from lambent.learn.recipe import train_recipe_from
+
+    monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
+    source = tmp_path / "tiny.toml"
+    source.write_text(
+        'name = "tiny"\nseed = 5\ncount = 1\nitems_per_scene = 1\ncameras_per_scene = 1\n'
+        "crop = 32\nview = [64, 48]\nspp = [1, 2]\nlevels = 1\nmean_spp = 1\ntarget_spp = 4\n"
+        "target_most = 4\n"
+    )
+    recipe = train_recipe_from({"name": "x", "data": [str(source), str(tmp_path / "plain")]})
+    seen = []
+    found = data.with_data(recipe, progress=lambda *args: seen.append(args))
+    folder = tmp_path / "cache" / "datasets" / "tiny"
+    assert found.data == (str(folder), str(tmp_path / "plain"))
+    assert len(list(folder.rglob("*.exr"))) + len(list((folder / "crops").rglob("*"))) > 0
+    assert seen
+    before = {p: p.stat().st_mtime for p in (folder / "crops").rglob("*")}
+    assert data.with_data(recipe).data == found.data
+    assert before == {p: p.stat().st_mtime for p in (folder / "crops").rglob("*")}

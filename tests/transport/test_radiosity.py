@@ -139,6 +139,20 @@ def test_a_solution_comes_back_from_its_file(tmp_path):
     assert {"albedo", "normal", "depth"} <= {key[0].value for key in frame.layers}
 
 
+def test_the_plug_in_shows_a_solution_in_any_script(tmp_path):
+    path = tmp_path / "room.lambent"
+    found = solved(boxes.room(), output=path)
+    scene = mi.load_dict(boxes.room())
+    integrator = mi.load_dict({"type": "lambent_radiosity", "solution": str(path)})
+    image = np.array(mi.render(scene, integrator=integrator, spp=16, seed=1))
+    view = found.view(scene=scene, spp=16, features="none").colour
+    ratio = image[:, :, :3].mean(2) / view.mean(2)  # other samples at edges, above all the lamp's
+    assert np.median(ratio) == pytest.approx(1, abs=0.002)
+    assert (np.abs(ratio - 1) < 0.05).mean() > 0.8
+    with pytest.raises(Exception, match="kind of view"):
+        mi.load_dict({"type": "lambent_radiosity", "solution": str(path), "show": "magic"})
+
+
 def test_resuming_begins_where_it_ended(tmp_path):
     scene, path = boxes.room(), tmp_path / "room.lambent"
     rough = solved(scene, output=path, solver="jacobi", steps=2)

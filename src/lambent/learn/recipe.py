@@ -5,7 +5,7 @@
     name = "lambent"
     task = "denoise"
     size = "default"
-    data = ["~/.cache/lambent/datasets/mitsuba"]
+    data = ["../mitsuba.toml"]
     steps = 20000
 
 Every other key has the default below.
@@ -26,7 +26,8 @@ from lambent.settings import Range, read_toml, record_from
 class TrainRecipe:
     """Settings of a run.
 
-    ``data``: folders of data sets. ``steps`` of ``batch`` crops each; ``rate``: the highest
+    ``data``: folders of data sets, or their recipes (``.toml``), which are made first (`learn.data`).
+    ``steps`` of ``batch`` crops each; ``rate``: the highest
     learning rate, reached after ``warmup`` steps, which then falls along a cosine to ``last_rate``
     times it. ``decay``: of the running mean of the weights. ``held_out``: share of the scenes that
     are never trained on. ``check_every``: steps from one validation to the next. ``clip``: largest
@@ -70,7 +71,7 @@ _RANGES: tuple[Range, ...] = (
 
 
 def load_train_recipe(path: str | os.PathLike[str]) -> TrainRecipe:
-    """The recipe in a TOML file; data folders are found from the recipe's own folder.
+    """The recipe in a TOML file; data are found from the recipe's own folder.
 
     Raises `FileError` (missing, no TOML) and `OptionError` (unknown key, senseless value).
     """

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lambent.frame.atomic import check_target
+from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
 from lambent.learn.loop import Progress, Run
 from lambent.learn.loop import train as run_loop
@@ -42,6 +43,7 @@ def train(
     if output is not None:
         check_target(output, overwrite)
     make_task = TASKS[chosen.task]
+    chosen = with_data(chosen, device, progress)
     task = make_task(chosen, cache_folder() / "training", progress)
     folder = Path(run) if run is not None else run_folder(chosen)
     weights = None if start is None else float_weights(start)
