@@ -234,6 +234,43 @@ def test_albedo_of_one_ends():
     assert found.history.residuals[-1] < 1e-6
 
 
+def test_the_stated_error_is_the_error():
+    scene = boxes.room()
+    truth = solved(scene, rays=8192)
+    for rays in (32, 512):
+        found = solved(scene, rays=rays)
+        live = found.live
+        apart = found.indirect[live] - truth.indirect[live]
+        real = np.sqrt((apart**2).mean() / (truth.indirect[live] ** 2).mean())
+        # balancing makes the solution a little better than its rays
+        assert 0.4 * real < found.error < 2.5 * real
+    assert solved(scene, factors="pairs").error is None
+
+
+def test_triangles_without_an_area_and_coincident_faces(tmp_path):
+    mesh = mi.Mesh("flat", 5, 3)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = np.array(
+        [[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1], [0, 0, -1]], np.float32
+    ).ravel()
+    params["faces"] = np.array([[0, 2, 1], [0, 3, 2], [0, 4, 1]], np.uint32).ravel()
+    params.update()
+    path = tmp_path / "flat.ply"
+    mesh.write_ply(str(path))
+    scene = boxes.room()
+    for name in ("one", "other"):  # the same twice, at the same place
+        scene[name] = {
+            "type": "ply",
+            "filename": str(path),
+            "to_world": boxes.T().translate([0, -0.97, 0]),
+            "bsdf": {"type": "twosided", "bsdf": boxes.grey(0.5)},
+        }
+    found = solved(scene)
+    assert any("without an area" in note for note in found.notes)
+    assert np.isfinite(found.radiosity).all()
+    assert np.isfinite(found.view(scene=scene, spp=4).colour).all()
+
+
 def test_curved_shapes_and_textures():
     scene = boxes.room()
     scene["ball"] = {"type": "sphere", "center": [-0.5, -0.6, 0], "radius": 0.25,

@@ -201,6 +201,9 @@ def _print(solution: Any, target: Path, page: _Page | None) -> None:
     spent = ", ".join(f"{name} {show_seconds(s)}" for name, s in solution.seconds.items())
     print(f"  holds    {len(solution):,} patches; {int(solution.live.sum()):,} faces see light")
     print(f"  solved   {len(history.steps)} steps, residual {residual:.1e}; {spent}")
+    if solution.error is not None:
+        rays = solution.settings["rays"]
+        print(f"  error    {100 * solution.error:.1f} % of a patch's indirect light ({rays} rays)")
     for note in solution.notes:
         print(f"  note     {note}")
     if page is not None:
@@ -216,6 +219,7 @@ def _as_dict(solution: Any, target: Path) -> dict[str, Any]:
         "steps": len(solution.history.steps),
         "residual": solution.history.residuals[-1] if solution.history.residuals else None,
         "seconds": solution.seconds,
+        "error": solution.error,
         "interrupted": solution.interrupted,
         "notes": list(solution.notes),
     }

@@ -56,6 +56,8 @@ def write_solving(
         ("Solver", f"{solution.settings.get('solver')}, step {len(history.steps)}"),
         ("Residual", f"{residual:.1e}"),
     ]
+    if solution.error is not None:
+        facts.append(("Error of a patch's indirect light", f"{100 * solution.error:.1f} %"))
     facts += [(f"Time, {what}", f"{s:.1f} s") for what, s in solution.seconds.items()]
     terms = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts)
     body = f'{reload}<section><dl class="facts">{terms}</dl></section>'

@@ -35,7 +35,8 @@ class RadiositySolution:
 
     Of the ``n`` patches' ``2 n`` faces (`lambent.transport.radiosity.patches`), ``(2 n, 3)`` each:
     ``reflectance``, ``emission`` (emitted radiosity, W/m²), ``direct`` and ``indirect`` irradiance,
-    ``residual`` of the equation; ``live`` ``(2 n,)``: faces that light reaches. ``child``,
+    ``residual`` of the equation; ``error``: relative standard error of a face's indirect light, from
+    the number of rays (None where form factors are not by rays); ``live`` ``(2 n,)``: faces that light reaches. ``child``,
     ``prim``, ``corner``, ``cell_patch``: the cells and the patch of each.
     """
 
@@ -56,6 +57,7 @@ class RadiositySolution:
     notes: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
+    error: float | None = None
 
     def __len__(self) -> int:
         """Number of patches."""
@@ -147,6 +149,7 @@ class RadiositySolution:
             "notes": list(self.notes),
             "seconds": self.seconds,
             "interrupted": self.interrupted,
+            "error": self.error,
             "history": vars(self.history),
         }
         write_solution(path, card, {name: getattr(self, name) for name in _ARRAYS}, overwrite)
@@ -171,6 +174,7 @@ class RadiositySolution:
             notes=tuple(card["notes"]),
             seconds=card["seconds"],
             interrupted=card["interrupted"],
+            error=card["error"],
         )
 
 
