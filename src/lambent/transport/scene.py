@@ -25,8 +25,7 @@ def load_for_light(source: Any, **options: Any) -> LoadedScene:
     Raises what `load` raises, and `OptionError` for a scene in memory that has instances.
     """
     loaded = load(source, **options)
-    importlib.import_module("lambent.transport.diffuse")  # registers what scenes may name
-    importlib.import_module("lambent.transport.radiosity.integrator")
+    importlib.import_module("lambent.transport.diffuse")  # registers an integrator
     if not any(shape.class_name() == "Instance" for shape in loaded.scene.shapes()):
         return loaded
     if loaded.path is None:
