@@ -120,12 +120,14 @@ def curve(files: dict[str, Path]) -> None:
         )
 
     marks = [
-        '<style>text{font:12px sans-serif;fill:#333}.g{stroke:#ddd}polyline{fill:none;'
+        "<style>text{font:12px sans-serif;fill:#333}.g{stroke:#ddd}polyline{fill:none;"
         "stroke-width:1.6}</style>"
     ]
     for k in range(y0, y1 + 1):
         _, y = at(10**x0, 10.0**k)
-        marks.append(f'<line class="g" x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        marks.append(
+            f'<line class="g" x1="{left}" x2="{width - right}" y1="{y:.1f}" y2="{y:.1f}"/>'
+        )
         marks.append(f'<text x="{left - 6}" y="{y + 4:.1f}" text-anchor="end">1e{k}</text>')
     for n in (1000, 4000, 16000, 64000):
         if x0 - 0.1 <= math.log10(n) <= x1 + 0.1:

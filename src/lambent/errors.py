@@ -54,6 +54,20 @@ class LambentError(Exception):
         return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+def by_interrupt(error: BaseException) -> bool:
+    """Whether an error is Ctrl-C in disguise.
+
+    Dr.Jit turns what is raised while it records a loop into an error of its own, with the true one
+    as its cause.
+    """
+    seen: BaseException | None = error
+    while seen is not None:
+        if isinstance(seen, KeyboardInterrupt):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False
+
+
 class FileError(LambentError):
     """A file is missing, unreadable, damaged or cannot be written."""
 

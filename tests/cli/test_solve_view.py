@@ -64,11 +64,13 @@ def test_solve_says_what_it_did(capsys, scene, tmp_path):
     for words in ("room.xml, solved", "Residual", "Power", "watts", "Patches"):
         assert words in page
     assert page.count("<img") >= 4
-    assert "http-equiv=\"refresh\"" not in page
+    assert 'http-equiv="refresh"' not in page
 
 
 def test_as_json(capsys, scene, tmp_path):
-    code, out, _ = run(capsys, "solve", scene, "-o", tmp_path / "a.lambent", "--patches", 100, "--json")
+    code, out, _ = run(
+        capsys, "solve", scene, "-o", tmp_path / "a.lambent", "--patches", 100, "--json"
+    )
     assert code == 0
     found = json.loads(out)
     assert found["residual"] < 1e-5
@@ -137,9 +139,11 @@ def test_meshes_and_lightmaps(capsys, solved, tmp_path):
     assert run(capsys, "view", solved, "-o", exr, "--lightmap")[0] == 0
     image = lambent.read(exr).colour
     places = json.loads((tmp_path / "a.uv.json").read_text())
-    assert len(places["triangles"]) == 14
+    assert len(places["primitives"]) == 14
     assert image.max() > 0
-    uv = np.array(places["triangles"])
+    uv = np.array([entry["uv"] for entry in places["primitives"]])
+    corners = np.array([entry["corners"] for entry in places["primitives"]])
+    assert np.abs(corners).max() == pytest.approx(1)
     assert uv.min() > 0
     assert uv.max() < 1
 
@@ -157,6 +161,12 @@ def test_wishes_that_cannot_be(capsys, scene, solved, tmp_path):
         (("view", solved, "-o", tmp_path / "a.png", "--frames", "1-3"), 4, "no place"),
         (("view", solved, "-o", tmp_path / "a.mp4", "--frames", "1-3"), 4, "keyframes"),
         (("view", solved, "-o", tmp_path / "a.png", "--camera", "7"), 4, "camera"),
+        (("view", solved, "-o", tmp_path / "a.##.png"), 4, "no --frames"),
+        (("view", solved, "-o", tmp_path / "a.png", "--animation", scene), 4, "needs --frames"),
+        (("view", solved, "-o", tmp_path / "a.glb", "--fov", "40"), 4, "no camera"),
+        (("solve", scene, "-o", solved, "--resume", "--rays", "32"), 4, "rays (64 there, 32 here)"),
+        (("solve", scene, "-o", tmp_path / "b.lambent", "--patch-size", "0"), 4, "above 0"),
+        (("solve", scene, "-o", tmp_path / "b.lambent", "--patch-size", "1e-6"), 4, "GiB"),
         (("view", scene, "-o", tmp_path / "a.png"), 2, "no solution"),
         (("view", tmp_path / "none.lambent", "-o", tmp_path / "a.png"), 2, "does not exist"),
     ):
@@ -179,7 +189,19 @@ def test_a_scene_that_has_moved_or_changed(capsys, scene, solved, tmp_path):
 
 def test_going_on(capsys, scene, tmp_path):
     path = tmp_path / "a.lambent"
-    rough = ("solve", scene, "-o", path, "--patches", 100, "--solver", "jacobi", "--steps", 1, "--json")
+    rough = (
+        "solve",
+        scene,
+        "-o",
+        path,
+        "--patches",
+        100,
+        "--solver",
+        "jacobi",
+        "--steps",
+        1,
+        "--json",
+    )
     _, out, _ = run(capsys, *rough)
     before = json.loads(out)["residual"]
     code, out, _ = run(capsys, "solve", scene, "-o", path, "--resume", "--json")
@@ -201,5 +223,34 @@ def test_an_interrupt_keeps_the_solution(capsys, scene, tmp_path, monkeypatch):
     monkeypatch.setitem(solvers.SOLVERS, "jacobi", (stopped, ""))
     code, _, err = run(capsys, "solve", scene, "-o", path, "--patches", 100, "--solver", "jacobi")
     assert code == 130
-    assert "interrupted" in err
+    assert "is kept in" in err
+    assert "--resume" in err
     assert lambent.open_solution(path).interrupted
+
+
+def test_a_page_of_someone_else_s_is_kept(capsys, scene, tmp_path):
+    page = tmp_path / "index.html"
+    page.write_text("precious")
+    code, _, _ = run(capsys, "solve", scene, "-o", tmp_path / "index.lambent", "--report")
+    assert code == 2
+    assert page.read_text() == "precious"
+
+
+def test_values_of_names_are_remembered(capsys, tmp_path):
+    scene = tmp_path / "named.xml"
+    scene.write_text(
+        SCENE.replace(
+            '<default name="res"', '<default name="rho" value="0.7"/><default name="res"'
+        ).replace('value="0.7,0.5,0.3"', 'value="$rho"')
+    )
+    path = tmp_path / "a.lambent"
+    options = ("--patches", 100, "--rays", 32)
+    assert run(capsys, "solve", scene, "-o", path, "-D", "rho=0.1", *options)[0] == 0
+    plain, other = tmp_path / "a.exr", tmp_path / "b.exr"
+    code, out, _ = run(capsys, "view", path, "-o", plain)
+    assert code == 0
+    assert "changed since" not in out
+    assert lambent.read(plain)["albedo"].max() == pytest.approx(0.1, abs=0.01)
+    code, out, _ = run(capsys, "view", path, "-o", other, "-D", "rho=0.7")
+    assert code == 0
+    assert "have changed since the light was solved" in out

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from lambent.errors import LambentError, OptionError
+from lambent.errors import LambentError, OptionError, by_interrupt
 
 #: Command -> what `lambent --help` says of it. The module is ``lambent.cli.<command>``.
 COMMANDS = {
@@ -99,6 +99,9 @@ def run(args: Sequence[str]) -> int:
         # Typer turns a closed pipe (`lambent … | head`) into this; the reader has seen enough.
         return 0 if isinstance(leaving.__context__, BrokenPipeError) else _code_of(leaving)
     except Exception as error:
+        if by_interrupt(error):
+            _say_interrupted()
+            return 130
         if _debugging():
             raise
         known = _usage_error(error) or _system_error(error)

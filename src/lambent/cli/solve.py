@@ -7,6 +7,7 @@ for what they are nearest to, and named. Ctrl-C keeps the solution so far; --res
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,50 +45,59 @@ def solve(
     ] = None,
     method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",
     patches: Annotated[
-        int, typer.Option("--patches", metavar="N", help="About so many patches.")
-    ] = 4000,
+        int | None, typer.Option("--patches", metavar="N", help="About so many patches (4000).")
+    ] = None,
     patch_size: Annotated[
         float | None,
         typer.Option("--patch-size", metavar="S", help="Their length in the scene's unit instead."),
     ] = None,
     adaptive: Annotated[
-        bool, typer.Option("--adaptive", help="Cut finer where the picture changes.")
-    ] = False,
+        bool | None, typer.Option("--adaptive", help="Cut finer where the picture changes.")
+    ] = None,
     solver: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help="cg, direct, jacobi, gauss-seidel, southwell, least-squares, matrix-free.",
+            help="cg (default), direct, jacobi, gauss-seidel, southwell, least-squares, "
+            "matrix-free.",
             autocompletion=complete_solvers,
         ),
-    ] = "cg",
+    ] = None,
     factors: Annotated[
-        str, typer.Option(metavar="rays|pairs", help="Form factors by rays, or pair by pair.")
-    ] = "rays",
-    rays: Annotated[int, typer.Option(metavar="N", help="Rays from every patch.")] = 256,
+        str | None,
+        typer.Option(metavar="rays|pairs", help="Form factors by rays (default), or pair by pair."),
+    ] = None,
+    rays: Annotated[
+        int | None, typer.Option(metavar="N", help="Rays from every patch (256).")
+    ] = None,
     samples: Annotated[
-        int, typer.Option(metavar="N", help="Samples of the emitters for every patch.")
-    ] = 512,
+        int | None,
+        typer.Option(metavar="N", help="Samples of the emitters for every patch (512)."),
+    ] = None,
     direct: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="samples|factors", help="Light straight from emitters: sampled, or through F."
+            metavar="samples|factors",
+            help="Light straight from emitters: sampled (default), or through F.",
         ),
-    ] = "samples",
+    ] = None,
     tolerance: Annotated[
-        float, typer.Option(metavar="X", help="End at this residual, relative to the first light.")
-    ] = 1e-6,
-    steps: Annotated[int, typer.Option(metavar="N", help="Most steps of the solver.")] = 1000,
+        float | None,
+        typer.Option(metavar="X", help="End at this residual, relative to the first light (1e-6)."),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(metavar="N", help="Most steps of the solver (1000).")
+    ] = None,
     time: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Most time for the solver.")
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Of the random numbers.")] = None,
     define: Annotated[
         list[str] | None,
         typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what the output holds.")
+        bool, typer.Option("--resume", help="Go on solving what the output holds.")
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
@@ -100,10 +110,19 @@ def solve(
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.cli.options import definitions
+    from lambent.frame.atomic import check_target
     from lambent.transport.solve import solve as run
 
     target = output or Path(_default_name(scene))
-    page = _Page(scene, target.with_suffix(".html"), definitions(define)) if report else None
+    given = {
+        "patches": patches, "size": patch_size, "adaptive": adaptive, "solver": solver,
+        "factors": factors, "rays": rays, "samples": samples, "direct": direct,
+        "tolerance": tolerance, "steps": steps, "seconds": time, "seed": seed,
+    }  # fmt: skip
+    page = None
+    if report:
+        path = check_target(target.with_suffix(".html"), overwrite or resume)
+        page = _Page(scene, path, definitions(define))
     with Progress(scene.name, quiet=as_json) as progress:
         progress.report(0, 1, "loading the scene")
         solution = run(
@@ -116,18 +135,7 @@ def solve(
             parameters=definitions(define),
             progress=progress.report,
             watch=page.show if page is not None else None,
-            patches=patches,
-            size=patch_size,
-            adaptive=adaptive,
-            solver=solver,
-            factors=factors,
-            rays=rays,
-            samples=samples,
-            direct=direct,
-            tolerance=tolerance,
-            steps=steps,
-            seconds=time,
-            seed=seed,
+            **{name: value for name, value in given.items() if value is not None},
         )
         if page is not None:
             progress.report(1, 1, "writing the page")
@@ -137,7 +145,8 @@ def solve(
     else:
         _print(solution, target, page)
     if solution.interrupted:
-        raise KeyboardInterrupt
+        print(f"the light so far is kept in {target}; --resume goes on", file=sys.stderr)
+        raise typer.Exit(130)
 
 
 # ------------------------------------------------------------------- private
@@ -157,7 +166,9 @@ class _Page:
         self._write(solution, running=True)
 
     def finish(self, solution: Any) -> None:
-        """With the final picture, and no more reloading."""
+        """With the final pictures, and no more reloading; after Ctrl-C without new ones."""
+        if solution.interrupted and not self.pictures:
+            return
         self._write(solution, running=False)
 
     def _write(self, solution: Any, running: bool) -> None:
@@ -173,15 +184,19 @@ class _Page:
             size = max(1, round(width * scale)), max(1, round(height * scale))
             self.loaded = load_for_light(self.scene, parameters=self.parameters, size=size)
             self.surfaces = surfaces_of(self.loaded.scene)
+        kinds = ["smooth"] if running else ["smooth", "mesh", "irradiance", "residual"]
         made = {}
-        for kind in ("smooth",) if running else ("smooth", "mesh", "irradiance", "residual"):
+        if solution.interrupted:
+            kinds, made = [], {"smooth": self.pictures[-1][1]}
+        for kind in kinds:
             if kind in self.views:
                 self.views[kind].update(solution)
             else:
                 self.views[kind] = solution.integrator(kind)
             shown = picture(self.views[kind], self.loaded, spp=8, features="none")
             made[kind] = shown.colour
-        self.pictures.append((len(solution.history.steps), made["smooth"]))
+        if not solution.interrupted:
+            self.pictures.append((len(solution.history.steps), made["smooth"]))
         write_solving(
             self.path, self.scene.name, solution, made, self.pictures,
             balance=solution.balance(self.surfaces), areas=solution.patches_on(self.surfaces).area,

@@ -67,7 +67,7 @@ def view(
         str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
     ] = None,
     spp: Annotated[
-        int | None, typer.Option(metavar="N", help="Samples a pixel; 16, gathering 64.")
+        int | None, typer.Option(metavar="N", help="Samples a pixel; 64 if not given.")
     ] = None,
     features: Annotated[
         str, typer.Option(metavar="all|none|NAME,...", help="Layers of an .exr.")
@@ -90,13 +90,19 @@ def view(
     scene: Annotated[
         Path | None, typer.Option(metavar="SCENE", help="The scene, if it has moved.")
     ] = None,
+    define: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene, if not as solved."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace outputs.")] = False,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
-    from lambent.cli.options import point_of, size_of
+    from lambent.cli.options import definitions, point_of, size_of
     from lambent.errors import OptionError
     from lambent.frame.atomic import check_target
     from lambent.frame.sequence import has_place, parse_range
@@ -107,6 +113,20 @@ def view(
     if suffix not in known:
         raise OptionError(f"'{output}' is no kind of view", remedy=f"end it in {', '.join(known)}")
     check_show(show)
+    moves = frames is not None
+    light_alone = suffix in MESHES or lightmap
+    own = stand is not None or target is not None or fov is not None
+    for clash, words in (
+        (own and moves, "--from, --to and --fov are of one picture; keyframes move the camera"),
+        (own and light_alone, "--from, --to and --fov make no sense for what has no camera"),
+        (moves and light_alone, "--frames makes no sense for what has no camera"),
+        (animation is not None and not moves, "--animation needs --frames"),
+        (not moves and has_place(output), f"'{output}' has a place for a number, but no --frames"),
+        (exposure is not None and exposure <= 0, f"an exposure of {exposure} shows nothing"),
+        (not 0 < fps <= 1000, f"{fps:g} frames a second make no film"),
+    ):
+        if clash:
+            raise OptionError(words, remedy="see lambent view --help")
     if suffix in FILMS and frames is None:
         raise OptionError("a film needs frames", remedy="give --frames 1-48 and --animation")
     if frames is not None and suffix in PICTURES and not has_place(output):
@@ -126,15 +146,18 @@ def view(
         "camera": camera,
         "size": size_of(size),
         "device": device,
+        "parameters": definitions(define),
     }
     looks: dict[str, Any] = {"show": show, "spp": spp, "features": features, "seed": seed}
     if suffix == ".png" or suffix in FILMS:
         looks["features"] = "none"
-    written = []
+    written: list[str] = []
+    told: list[str] = []
     with Progress(solution.name, quiet=as_json) as progress:
         progress.report(0, 1, "loading the scene")
         if suffix in MESHES or lightmap:
-            _export(opened, Path(output), lightmap, where, exposure or 1.0, overwrite)
+            factor = 1.0 if exposure is None else exposure
+            _export(opened, Path(output), lightmap, where, factor, overwrite)
             written.append(output)
         elif frames is not None:
             path = animation or _beside(opened, scene)
@@ -149,11 +172,14 @@ def view(
             )  # fmt: skip
             _write(frame, Path(output), exposure, overwrite)
             written.append(output)
+            told += frame.notes
     if as_json:
-        print_json({"written": written, "show": show})
+        print_json({"written": written, "show": show, "notes": told})
         return
     for name in written:
         print(name)
+    for text in told:
+        print(f"  note     {text}")
 
 
 # ------------------------------------------------------------------- private

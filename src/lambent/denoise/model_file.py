@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -60,7 +61,7 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile:
             network, weights = archive.read(NETWORK), archive.read(WEIGHTS)
     except FileNotFoundError:
         raise FileError("there is no such model", file=path, remedy=remedy) from None
-    except (zipfile.BadZipFile, EOFError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
         if zipfile.is_zipfile(path) or _begins_as_zip(path):
             raise DamagedFileError(f"is damaged: {error}", file=path, remedy=remedy) from None
         raise FileError("is no model of Lambent", file=path, remedy=remedy) from None

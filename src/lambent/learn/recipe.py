@@ -26,7 +26,7 @@ from lambent.settings import Range, read_toml, record_from
 class TrainRecipe:
     """Settings of a run.
 
-    ``data``: folders of data sets, or their recipes (``.toml``), which are made first (`learn.data`).
+    ``data``: folders of data sets, or their recipes (``.toml``): made first (`learn.data`).
     ``steps`` of ``batch`` crops each; ``rate``: the highest
     learning rate, reached after ``warmup`` steps, which then falls along a cosine to ``last_rate``
     times it. ``decay``: of the running mean of the weights. ``held_out``: share of the scenes that

@@ -253,11 +253,11 @@ def look_at(origin: Sequence[float], target: Sequence[float], up: Sequence[float
     o, t, u = (np.asarray(v, float) for v in (origin, target, up))
     forward = t - o
     if not np.linalg.norm(forward) > 0:
-        raise OptionError(f"the camera looks at where it stands: {tuple(o)}")
+        raise OptionError(f"the camera looks at where it stands: {tuple(o.tolist())}")
     forward /= np.linalg.norm(forward)
     left = np.cross(u, forward)
     if np.linalg.norm(left) < 1e-9:
-        raise OptionError(f"the camera looks along its up vector: {tuple(u)}")
+        raise OptionError(f"the camera looks along its up vector: {tuple(u.tolist())}")
     left /= np.linalg.norm(left)
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = left, np.cross(forward, left), forward

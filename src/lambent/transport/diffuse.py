@@ -27,7 +27,8 @@ from lambent.transport.warps import cosine_hemisphere
 HIGHEST = 0.99
 #: Materials that are diffuse already, possibly behind a wrapper.
 _DIFFUSE = ("SmoothDiffuse", "TwoSidedBRDF")
-_TWO_SIDED = ("TwoSidedBRDF", "SmoothDielectric", "ThinDielectric", "RoughDielectric")
+#: Those that show something on both sides, alone or inside a wrapper (as they print themselves).
+_TWO_SIDED = ("TwoSided", "SmoothDielectric", "ThinDielectric", "RoughDielectric", "PrincipledThin")
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,17 @@ class Assumptions:
 def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> Assumptions:
     """What the diffuse world takes for granted about a scene."""
     kinds: dict[str, int] = {}
-    masks = 0
+    masks = hulls = media = 0
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         if bsdf is None:
             continue
         name = bsdf.class_name()
         text = str(bsdf)
+        media += shape.interior_medium() is not None or shape.exterior_medium() is not None
+        if name == "Null":
+            hulls += 1
+            continue
         masks += name == "MaskBSDF"
         inner = "SmoothDiffuse" in text and not _others(text)
         if name not in _DIFFUSE or not inner:
@@ -59,6 +64,12 @@ def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> Assump
         said.append(f"taken as diffuse with their albedo: {listed}")
     if masks:
         said.append(f"opacity masks are taken as solid: {masks} shapes")
+    if hulls:
+        said.append(
+            f"hulls without a surface are solid and black, and hide what is in them: {hulls}"
+        )
+    if media:
+        said.append(f"participating media are left out: {media} shapes bound one")
     if left_out:
         listed = ", ".join(f"{name} ({n})" for name, n in sorted(left_out.items()))
         said.append(f"black, though they cast shadows: {listed}")
@@ -72,11 +83,9 @@ def is_two_sided(shape: Any) -> bool:
     bsdf = shape.bsdf()
     if bsdf is None:
         return False
-    name = bsdf.class_name()
-    text = str(bsdf)
-    return name in _TWO_SIDED or (name in ("MaskBSDF", "BumpMap", "NormalMap") and any(
-        kind in text for kind in _TWO_SIDED
-    ))  # fmt: skip
+    if bsdf.class_name() == "BlendBSDF":
+        return str(bsdf).count("TwoSided") >= 2 or "Dielectric" in str(bsdf)
+    return any(kind in str(bsdf) for kind in _TWO_SIDED)
 
 
 def reflectance(si: Any, active: Any) -> Any:

@@ -105,6 +105,9 @@ def _moved(mi: Any, nodes: Any, number: int, move: Any) -> int:
     copy.type, copy.file_index, copy.offset = node.type, node.file_index, node.offset
     props = mi.Properties(node.props)
     props.set_id("")
+    if props.plugin_name() == "sphere" and np.linalg.det(move[:3, :3]) < 0:
+        # Mitsuba turns a mirrored sphere inside out; an instance of one it does not
+        props["flip_normals"] = not props.get("flip_normals", False)
     props["to_world"] = mi.ScalarAffineTransform4d(move @ _matrix(node.props))
     copy.props = props
     nodes.append(copy)

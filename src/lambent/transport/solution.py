@@ -7,7 +7,8 @@ feature, so that what cleans a render cleans a gathered view, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +22,7 @@ from lambent.transport.solution_file import read_solution
 
 Progress = Callable[[float, float, str], None]
 #: Samples a pixel of views that are without noise, and of those that gather.
-SMOOTH_SPP, GATHER_SPP = 16, 64
+SMOOTH_SPP, GATHER_SPP = 64, 64
 
 
 class Solution(Protocol):
@@ -72,6 +73,7 @@ def scene_of(solution: Any, scene: Any = None, **options: Any) -> LoadedScene:
     if isinstance(scene, LoadedScene):
         return scene
     source = scene if scene is not None else solution.scene
+    options["parameters"] = {**solution.parameters, **(options.get("parameters") or {})}
     if source is None:
         raise FileError(
             "the solution is of a scene in memory", remedy="give the scene: scene=…, or --scene"
@@ -82,7 +84,14 @@ def scene_of(solution: Any, scene: Any = None, **options: Any) -> LoadedScene:
             file=source,
             remedy="name it: --scene SCENE.xml",
         )
-    return load_for_light(source, **options)
+    loaded = load_for_light(source, **options)
+    if solution.scene_digest and loaded.path is not None and loaded.digest != solution.scene_digest:
+        change = (
+            "The scene's file, or the values of its parameters, have changed since the light was "
+            "solved; colours and lamps are those of now, the light between them that of then."
+        )
+        loaded = replace(loaded, notes=(*loaded.notes, change))
+    return loaded
 
 
 def view(
@@ -99,15 +108,19 @@ def view(
     features: str | Iterable[str] = "all",
     seed: int = 0,
     device: str = "auto",
+    parameters: Mapping[str, Any] | None = None,
 ) -> Frame:
     """What a camera sees of a solution, as a `Frame` with every feature.
 
     ``camera``: number or id of the scene's; or ``stand`` and ``target``, points of the world, and
-    ``fov`` in degrees across. ``show``: for radiosity see `radiosity.integrator.SHOWS`. ``spp``:
-    16, and 64 for views that gather.
+    ``fov`` in degrees across. ``parameters``: values for the scene's ``$names``, where they are to
+    be other than when it was solved. ``show``: for radiosity see `radiosity.shows.SHOWS`. ``spp``:
+    64 if not given.
     Raises `FileError` (other scene), `OptionError`, `UnknownNameError`.
     """
-    loaded = scene_of(solution, scene, camera=camera, size=size, device=device)
+    loaded = scene_of(
+        solution, scene, camera=camera, size=size, device=device, parameters=parameters
+    )
     if stand is not None or target is not None:
         _place(loaded, stand, target)
     if fov is not None:
@@ -128,6 +141,7 @@ def film(
     features: str | Iterable[str] = "all",
     seed: int = 0,
     device: str = "auto",
+    parameters: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Frame]]:
     """The frames of a moving camera, one after the other, with their numbers.
@@ -137,7 +151,9 @@ def film(
     """
     from lambent.render.variant import mitsuba
 
-    loaded = scene_of(solution, scene, camera=camera, size=size, device=device)
+    loaded = scene_of(
+        solution, scene, camera=camera, size=size, device=device, parameters=parameters
+    )
     moving: Animation
     if isinstance(animation, (str, os.PathLike)):
         moving = read_keyframes(Path(animation))
@@ -173,7 +189,9 @@ def picture(
     count = spp or (GATHER_SPP if integrator.show == "gather" else SMOOTH_SPP)
     integrator.prepare(loaded.scene)
     sampler = FrameSampler(loaded.scene, loaded.sensor, features=features, integrator=integrator)
-    return sampler.sample(count, seed).frame()
+    frame = sampler.sample(count, seed).frame()
+    told = [note for note in loaded.notes if "have changed since" in note]
+    return frame.replace(notes=(*frame.notes, *told))
 
 
 # ------------------------------------------------------------------- private
@@ -193,7 +211,9 @@ def _place(
 
     params = mi.traverse(loaded.sensor)
     old = np.array(params["to_world"].matrix, float).reshape(4, 4)
-    up = old[:3, 1]
+    # the axis of the world that is up in the scene's own pictures: a camera that looks down tilts
+    axis = int(np.argmax(np.abs(old[:3, 1])))
+    up = np.eye(3)[axis] * np.sign(old[axis, 1])
     way = np.subtract(target, stand)
     if np.linalg.norm(np.cross(up, way)) < 1e-6 * np.linalg.norm(way):
         up = old[:3, 2]  # straight up or down

@@ -11,6 +11,7 @@ import io
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
         raise FileError("does not exist", file=path, remedy=_REMEDY) from None
     except IsADirectoryError:
         raise FileError("is a folder", file=path, remedy="name a .lambent file") from None
-    except (zipfile.BadZipFile, EOFError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
         if _begins_as_zip(path):
             raise DamagedFileError(f"is damaged: {error}", file=path, remedy=_REMEDY) from None
         raise FileError("is no solution of Lambent", file=path, remedy=_REMEDY) from None

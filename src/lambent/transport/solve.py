@@ -32,7 +32,8 @@ def solve(
 
     ``scene``: a Mitsuba scene file, dictionary or object. ``settings``: those of the method, for
     radiosity `lambent.transport.radiosity.solve.Settings`. ``output``: a file for the solution;
-    ``resume``: go on with what it holds. ``watch`` gets the solution as it grows. Example::
+    ``resume``: go on with what it holds: its patches, form factors and settings are kept, but for
+    the solver's. ``watch`` gets the solution as it grows. Example::
 
         solution = lambent.solve("scene.xml", patches=16000, output="scene.lambent")
         frame = solution.view(show="gather", spp=64)
@@ -60,9 +61,12 @@ def solve(
             if not path.exists():
                 raise FileError("does not exist", file=path, remedy="leave --resume out")
             start = method_class(method).load(path)
+            parameters = {**start.parameters, **(parameters or {})}
     loaded = load_for_light(scene, device=device, parameters=parameters)
-    chosen, run = _method(method, settings)
+    chosen, run = _method(method, settings, start)
+    texts = {k: str(v) for k, v in (parameters or {}).items()}
     solution = run(loaded, chosen, start=start, progress=progress, watch=watch)
+    solution = dataclasses.replace(solution, parameters=texts)
     if output is not None:
         solution.save(output, overwrite or resume)
     return solution
@@ -71,8 +75,15 @@ def solve(
 # ------------------------------------------------------------------- private
 
 
-def _method(method: str, settings: dict[str, Any]) -> tuple[Any, Any]:
-    """Settings and function of a method. Raises `OptionError` for settings it does not know."""
+#: What a run that is resumed may have otherwise than the one before.
+_SOLVERS_OWN = {"solver", "tolerance", "steps", "seconds"}
+
+
+def _method(method: str, settings: dict[str, Any], start: Any) -> tuple[Any, Any]:
+    """Settings and function of a method.
+
+    Raises `OptionError` for settings it does not know, or that would mix two solutions.
+    """
     from lambent.transport.radiosity.solve import Settings
     from lambent.transport.radiosity.solve import solve as run
 
@@ -83,4 +94,16 @@ def _method(method: str, settings: dict[str, Any]) -> tuple[Any, Any]:
             f"{method} has no setting {', '.join(strange)}",
             remedy=f"there are: {', '.join(sorted(known))}",
         )
-    return Settings(**settings), run
+    if start is None:
+        return Settings(**settings), run
+    other = [
+        f"{k} ({start.settings.get(k)} there, {v} here)" for k, v in sorted(settings.items())
+        if k not in _SOLVERS_OWN and start.settings.get(k) != v
+    ]  # fmt: skip
+    if other:
+        raise OptionError(
+            f"the solution to go on with has another {', '.join(other)}",
+            remedy="leave that out, or begin anew with --overwrite",
+        )
+    kept = {k: v for k, v in start.settings.items() if k not in _SOLVERS_OWN or k == "solver"}
+    return Settings(**{**kept, **settings}), run

@@ -134,6 +134,14 @@ class Table:
         flip = dr.gather(mi.Float, self.flip, prim)
         return p, dr.normalize(n) * flip
 
+    def mitsubas(self, prim: Any, a: Any, b: Any) -> Any:
+        """What Mitsuba's ray tracer would have said of the point: of a disk, its place in it."""
+        if not self.curved:
+            return mi.Point2f(a, b)
+        kind = dr.gather(mi.UInt32, self.kind, prim)
+        place, _ = _local_in_kernel(kind, a, b)
+        return dr.select(kind == DISK, mi.Point2f(place.x, place.y), mi.Point2f(a, b))
+
     def parameters(self, kind: Any, local: Any) -> tuple[Any, Any]:
         """(a, b) of a point in a primitive's own space, of any kind."""
         a, b = _unit(local.x), _unit(local.y)

@@ -6,9 +6,14 @@ so they are put together with weights by the other's area:
 
     G_ij = (A_j · A_i s_ij + A_i · A_j s_ji) / (A_i + A_j),     s: shares of rays
 
-Then rows and columns are scaled together, G ← D G D, until every row sums to A_i (1 - what leaves
-the scene or ends on something black): the symmetric form of Sinkhorn and Knopp 1967. So a closed
-white furnace is exactly white, and no light is lost or made.
+Then rows and columns are scaled together, G ← D G D, until the row of every face whose rays all met
+other faces sums to A_i: the symmetric form of Sinkhorn and Knopp 1967. So a closed white furnace is
+exactly white, and no light is lost or made. What the row of a face sums to that also sees the sky,
+or something black, two know: its own rays, with the share s of them that met faces, and the row of
+G, with the rays of all others. (A large ground may miss a small box with every one of its rays,
+while half of the box's meet the ground.) They are put together by their variances,
+
+    A_i² max(s (1 - s), 1/N) / N     and     Σ_j A_i A_j / (A_i + A_j) G_ij / N.
 """
 
 from __future__ import annotations
@@ -31,14 +36,29 @@ def symmetric(shares: Any, area: Array) -> Any:
 
 
 def balanced(
-    g: Any, area: Array, seen: Array, tolerance: float = 1e-8, most: int = 300
+    g: Any,
+    area: Array,
+    seen: Array,
+    rays: int | None = None,
+    tolerance: float = 1e-8,
+    most: int = 300,
 ) -> tuple[Any, float]:
-    """F ``(n, n)`` CSR whose rows sum to ``seen``, and the largest deviation that is left.
+    """F ``(n, n)`` CSR, and how far the row of a closed face is from 1 at most.
 
-    A_i F_ij stays symmetric. ``seen`` ``(n,)`` in [0, 1].
+    A_i F_ij stays symmetric. ``seen`` ``(n,)``: the share of a face's ``rays`` that met other
+    faces; 1 means that it sees nothing else. ``rays`` None: G is better than rays.
     """
-    target = area * seen
     full = np.asarray(g.sum(axis=1)).ravel()
+    closed = seen >= 1 - 1e-9
+    target = full
+    if rays is not None:
+        row = np.repeat(np.arange(len(area)), np.diff(g.indptr))
+        smaller = area[row] * area[g.indices] / (area[row] + area[g.indices])
+        theirs = np.bincount(row, smaller * g.data, minlength=len(area)) / rays
+        own = area**2 * np.maximum(seen * (1 - seen), 1 / rays) / rays
+        weight = theirs / np.maximum(own + theirs, 1e-300)
+        target = weight * area * seen + (1 - weight) * full
+    target = np.where(closed, area, np.minimum(target, area))
     alive = (full > 0) & (target > 0)
     scale = np.where(alive, 1.0, 0.0)
     g64 = g.astype(np.float64)

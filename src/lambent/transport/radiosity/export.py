@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import EngineError, OptionError
-from lambent.frame.atomic import atomic
+from lambent.frame.atomic import atomic, check_target
 from lambent.transport.radiosity.smooth import at_vertices, vertices_of
 from lambent.transport.radiosity.solution import RadiositySolution
-from lambent.transport.surfaces import TRIANGLE, Array, Surfaces
+from lambent.transport.surfaces import CYLINDER, DISK, SPHERE, TRIANGLE, Array, Surfaces
+
+#: Pieces around a sphere, disk or cylinder.
+ROUND = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,13 @@ class LitMesh:
     triangle: NDArray[np.int32]
 
 
-def mesh(solution: RadiositySolution, surfaces: Surfaces, exposure: float = 1.0) -> LitMesh:
-    """The patches as triangles with the radiance of their corners, times ``exposure``."""
+def mesh(
+    solution: RadiositySolution, scene: Any, surfaces: Surfaces, exposure: float = 1.0
+) -> LitMesh:
+    """The patches as triangles with the radiance of their corners, times ``exposure``.
+
+    Spheres, disks and cylinders become `ROUND` pieces around and half as many along.
+    """
     solution.check(surfaces)
     patches = solution.patches_on(surfaces)
     vertices = vertices_of(patches)
@@ -42,22 +50,26 @@ def mesh(solution: RadiositySolution, surfaces: Surfaces, exposure: float = 1.0)
     # a lamp has light, too, though it may reflect none
     shown = np.maximum(there, (solution.emission.max(axis=1) > 0).astype(float))
     colours = [at_vertices(vertices, patches, light[s::2], shown[s::2]) for s in (0, 1)]
+    leaf_prim = patches.cells.prim[patches.leaf]
     patch = np.repeat(np.arange(len(patches)), np.diff(patches.start))
     power = light.sum(axis=1)
     back = power[1::2][patch] > power[0::2][patch]
-    index = vertices.leaf_corners
-    square = index[:, 3] >= 0
-    side = back.astype(np.int64)
-    first = np.c_[index[:, 0], index[:, 1], index[:, 2]]
-    second = np.c_[index[square, 1], index[square, 3], index[square, 2]]
-    triangles = np.concatenate([first, second])
-    sides = np.concatenate([side, side[square]])
-    flat = triangles + sides[:, None] * vertices.count
-    turned = np.where(sides[:, None] == 1, flat[:, ::-1], flat)
-    used, compact = np.unique(turned, return_inverse=True)
-    position = np.concatenate([vertices.position, vertices.position])[used]
-    colour = np.concatenate(colours)[used].astype(np.float32)
-    return LitMesh(position, colour, compact.reshape(-1, 3).astype(np.int32))
+    flat = surfaces.kind[leaf_prim] == TRIANGLE
+    index = vertices.leaf_corners[flat, :3] + back[flat, None] * vertices.count
+    normal = surfaces.normal[leaf_prim[flat]] * np.where(back[flat], -1, 1)[:, None]
+    position = np.concatenate([vertices.position, vertices.position])
+    colour = np.concatenate(colours)
+    triangles = _facing(index, position, normal)
+    round_ = _round(solution, scene, surfaces, exposure)
+    triangles = np.concatenate([triangles, round_.triangle + len(position)])
+    position = np.concatenate([position, round_.position])
+    colour = np.concatenate([colour, round_.colour])
+    used, compact = np.unique(triangles, return_inverse=True)
+    return LitMesh(
+        position[used],
+        colour[used].astype(np.float32),
+        compact.reshape(-1, 3).astype(np.int32),
+    )
 
 
 def write_ply(path: str | os.PathLike[str], lit: LitMesh, overwrite: bool = False) -> None:
@@ -150,18 +162,22 @@ def write_gltf(path: str | os.PathLike[str], lit: LitMesh, overwrite: bool = Fal
 @dataclass(frozen=True, eq=False)
 class Lightmap:
     """``image`` ``(H, W, 3)``: irradiance in W/m². ``uv`` ``(P, 3, 2)``: of every primitive the
-    texture coordinates of its parameters (0, 0), (1, 0), (0, 1). ``covered`` ``(H, W)``.
+    texture coordinates of its parameters (0, 0), (1, 0), (0, 1), v downwards. ``covered``
+    ``(H, W)``. ``corner`` ``(P, 3, 3)``: the same three points in the world.
     """
 
     image: NDArray[np.float32]
     uv: Array
     covered: NDArray[np.bool_]
+    corner: Array
+    kind: NDArray[np.int32]
 
 
 def lightmap(solution: RadiositySolution, scene: Any, surfaces: Surfaces) -> Lightmap:
     """Irradiance as an image: every primitive has a square of it, as fine as its patches.
 
-    A triangle uses the lower left half of its square. Raises `FileError` for another scene.
+    A triangle uses the upper left half of its square. Of two-sided surfaces every texel has the
+    brighter side. Raises `FileError` for another scene.
     """
     integrator = solution.integrator("smooth")
     integrator.prepare(scene)
@@ -204,20 +220,35 @@ def lightmap(solution: RadiositySolution, scene: Any, surfaces: Surfaces) -> Lig
     low = (place + 0.5) / (width, height)
     reach = (side[:, None] - 1) / np.array([width, height])
     uv = np.stack([low, low + reach * (1, 0), low + reach * (0, 1)], axis=1)
-    return Lightmap(image, uv, covered)
+    count = len(surfaces)
+    three = np.tile([[0.0, 0], [1, 0], [0, 1]], (count, 1))
+    corner = surfaces.points(np.repeat(np.arange(count), 3), three)[0].reshape(count, 3, 3)
+    return Lightmap(image, uv, covered, corner, surfaces.kind)
 
 
 def write_lightmap(path: str | os.PathLike[str], made: Lightmap, overwrite: bool = False) -> Path:
-    """The image as EXR, and beside it ``NAME.uv.json``: where every primitive is in it."""
+    """The image as EXR, and beside it ``NAME.uv.json``: where every triangle is in it.
+
+    A triangle is known by its corners in the world, since Mitsuba merges meshes as it loads.
+    """
     from lambent.frame.files import write
     from lambent.frame.frame import Frame
 
+    beside = check_target(Path(path).with_suffix(".uv.json"), overwrite)
     write(path, Frame.from_arrays(colour=made.image), overwrite=overwrite)
-    beside = Path(path).with_suffix(".uv.json")
+    kinds = {TRIANGLE: "triangle", SPHERE: "sphere", DISK: "disk", CYLINDER: "cylinder"}
     document = {
         "image": Path(path).name,
         "unit": "irradiance, W/m^2",
-        "triangles": [[[round(float(x), 7) for x in p] for p in uv] for uv in made.uv],
+        "origin": "upper left; u to the right, v downwards",
+        "primitives": [
+            {
+                "kind": kinds[int(kind)],
+                "corners": np.round(corner, 6).tolist(),
+                "uv": np.round(uv, 7).tolist(),
+            }
+            for kind, corner, uv in zip(made.kind, made.corner, made.uv, strict=True)
+        ],
     }
     with atomic(beside, overwrite) as handle:
         handle.write(json.dumps(document).encode())
@@ -237,10 +268,56 @@ def export(
     if suffix not in (".ply", ".glb"):
         raise OptionError(f"'{suffix}' is no kind of mesh", remedy="take .ply or .glb")
     write = write_ply if suffix == ".ply" else write_gltf
-    write(path, mesh(solution, surfaces, exposure), overwrite)
+    write(path, mesh(solution, scene, surfaces, exposure), overwrite)
 
 
 # ------------------------------------------------------------------- private
+
+
+def _facing(index: NDArray[Any], position: Array, normal: Array) -> NDArray[Any]:
+    """Triangles whose corners go round counter-clockwise, seen from where ``normal`` points."""
+    p = position[index]
+    own = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    turned = (own * normal).sum(axis=1) < 0
+    return np.where(turned[:, None], index[:, ::-1], index)
+
+
+def _round(solution: RadiositySolution, scene: Any, surfaces: Surfaces, exposure: float) -> LitMesh:
+    """Curved primitives as grids: smooth irradiance, reflectance and emission of the patch."""
+    curved = np.flatnonzero((surfaces.kind != TRIANGLE) & (surfaces.area > 0))
+    if not len(curved):
+        return LitMesh(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+    integrator = solution.integrator("smooth")
+    integrator.prepare(scene)
+    around, along = ROUND, ROUND // 2
+    j, i = np.mgrid[0 : along + 1, 0 : around + 1]
+    grid = np.c_[(i / around).ravel(), (j / along).ravel()]
+    corner = (j[:-1, :-1] * (around + 1) + i[:-1, :-1]).ravel()
+    right, down = corner + 1, corner + around + 1
+    faces = np.concatenate(
+        [np.stack([corner, right, down], 1), np.stack([right, down + 1, down], 1)]
+    )
+    positions, colours, triangles = [], [], []
+    for count, prim in enumerate(curved):
+        ab = grid[:, ::-1] if surfaces.kind[prim] == DISK else grid  # of a disk, b goes around
+        prims = np.full(len(ab), prim)
+        place, normal = surfaces.points(prims, ab)
+        patch = integrator.patch_at(prims, ab)
+        sides = []
+        for side in (0, 1):
+            face = 2 * patch + side
+            arrives = integrator.at(prims, ab, side)
+            sides.append(solution.emission[face] + solution.reflectance[face] * arrives)
+        back = sides[1].sum() > sides[0].sum()
+        middle = normal[faces].mean(axis=1) * (-1 if back else 1)
+        positions.append(place)
+        colours.append(sides[int(back)] / np.pi * exposure)
+        triangles.append(_facing(faces, place, middle) + count * len(ab))
+    return LitMesh(
+        np.concatenate(positions),
+        np.concatenate(colours).astype(np.float32),
+        np.concatenate(triangles).astype(np.int32),
+    )
 
 
 def _needed(name: str) -> Any:

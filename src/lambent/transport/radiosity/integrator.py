@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lambent.errors import OptionError
 from lambent.transport.diffuse import lit_side, reflectance
 from lambent.transport.radiosity.light import arriving
 from lambent.transport.radiosity.shows import check_show
@@ -80,6 +81,11 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
         if self._ready_for is scene:
             return
         solution = self.solution
+        if solution is None:
+            raise OptionError(
+                "lambent_radiosity has no solution to show",
+                remedy='give its file: <string name="solution" value="room.lambent"/>',
+            )
         surfaces = surfaces_of(scene)
         solution.check(surfaces)
         patches = solution.patches_on(surfaces)
@@ -100,6 +106,15 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
         )
         sides = dr.full(mi.UInt32, side, len(prim))
         return np.array(self._smooth("irradiance", cell, a, b, sides, mi.Bool(True))).T
+
+    def patch_at(self, prim: Any, ab: Any) -> Any:
+        """The patch ``(N,)`` at parameters of primitives."""
+        cell, _, _ = self._tree.descend(
+            mi.UInt32(prim.astype(np.uint32)),
+            mi.Float(ab[:, 0].astype(np.float32)),
+            mi.Float(ab[:, 1].astype(np.float32)),
+        )
+        return dr.gather(mi.Int32, self._cell_patch, cell).numpy()
 
     def to_string(self) -> str:
         """For ``print``."""
@@ -131,7 +146,9 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
 
     def _irradiance(self, si: Any, ray: Any, show: str, active: Any) -> Any:
         cell, a, b, known = self._where(si, active)
-        side = dr.select(dr.dot(si.n, mi.Vector3f(ray.d)) > 0, mi.UInt32(1), 0)
+        prim = dr.gather(mi.UInt32, self._cell_prim, cell, known)
+        normal = self._tree.surfaces.normal(prim, si.p)
+        side = dr.select(dr.dot(normal, mi.Vector3f(ray.d)) > 0, mi.UInt32(1), 0)
         name = "residual" if show == "residual" else "irradiance"
         if show in ("patch", "mesh", "residual"):
             patch = dr.gather(mi.Int32, self._cell_patch, cell, known)

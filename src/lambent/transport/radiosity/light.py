@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from lambent.kernels.extremes import greater
-from lambent.transport.diffuse import reflectance
+from lambent.transport.diffuse import lit_side, reflectance
 from lambent.transport.radiosity.patches import Index
 from lambent.transport.radiosity.probe import Probe, faces_of, lattice
 from lambent.transport.surfaces import Array
@@ -33,14 +33,19 @@ class Look:
 
 
 def look(scene: Any, probe: Probe, faces: Index, points: int = 16, seed: int = 0) -> Look:
-    """Reflectance and emission of faces, each the mean of so many points of it."""
+    """Reflectance and emission of faces, each the mean of so many points of it.
+
+    Which side reflects is Mitsuba's affair: that of the shading normal. Faces are counted by the
+    geometric normal of `Surfaces`; the two may point apart (mirrored shapes, vertex normals).
+    """
 
     def one(patch: Any, side: Any, shift: Any, k: Any) -> list[Any]:
         u = [lattice(k, shift, d) for d in range(3)]
         si = probe.interaction(*probe.place(patch, *u), side)
         si.wi = mi.Vector3f(0, 0, dr.select(si.wi.z >= 0, mi.Float(1), mi.Float(-1)))
         emitted = si.emitter(scene).eval(si) * dr.pi
-        return [*reflectance(si, mi.Bool(True)), *emitted]
+        rho = dr.select(lit_side(si), reflectance(si, mi.Bool(True)), mi.Color3f(0))
+        return [*rho, *emitted]
 
     means = _means(one, 6, faces, points, seed)
     # a material or texture that is not a number is black rather than everywhere

@@ -130,8 +130,9 @@ def exchange_matrix(
 
     if not probe.single or (patches.cells.surfaces.kind[patches.cells.prim] != TRIANGLE).any():
         raise OptionError(
-            "form factors by pairs need flat patches of one triangle each",
-            remedy="take --factors rays, or smaller patches",
+            "form factors by pairs need flat patches of one triangle each; this scene has curved "
+            "shapes, or triangles that are smaller than the patches",
+            remedy="take --factors rays",
         )
     if len(faces) > MOST:
         raise OptionError(
@@ -176,19 +177,16 @@ def exchange_matrix(
         if progress is not None:
             progress(min(first + block, len(faces)), len(faces))
     n = len(faces)
+    if not values:
+        return sparse.csr_matrix((n, n)), np.zeros(n)
     half = sparse.coo_matrix(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
     )
     g = (half + half.T).tocsr()
-    area = np.repeat(patches.area, 2)[faces]
     # in a closed scene rows sum to one; what is missing is light that leaves, or an error. Rays
     # tell the one from the other
     found = cast(scene, patches, probe, faces, live, 256, seed)
-    seen = np.asarray(found.shares[:, faces].sum(axis=1)).ravel()
-    sums = np.asarray(g.sum(axis=1)).ravel() / area
-    open_ = seen < 1 - 1e-9
-    seen = np.where(open_ & (np.abs(sums - seen) < 0.05), sums, seen)
-    return g, seen
+    return g, np.asarray(found.shares[:, faces].sum(axis=1)).ravel()
 
 
 def face_corners(patches: Patches, faces: Index) -> Array:

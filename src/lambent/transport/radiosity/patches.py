@@ -185,8 +185,8 @@ def cluster(cells: Cells, size: float = 0.0, among: int | None = None) -> Patche
     """Leaves to patches; leaves well below ``size`` share one with their neighbours.
 
     Neighbours are leaves of the same shape in the same cube of edge ``size`` whose normals go the
-    same way (the nearest of 26 directions). ``size`` 0: every leaf for itself. ``among``: only the first
-    so many cells may share; those that were cut later were cut on purpose.
+    same way (the nearest of 26 directions). ``size`` 0: every leaf for itself. ``among``: only the
+    first so many cells may share; those that were cut later were cut on purpose.
     """
     leaves = cells.leaves
     areas = cells.areas(leaves)

@@ -92,7 +92,7 @@ class Probe:
         found = dr.zeros(mi.PreliminaryIntersection3f, dr.width(prim))
         found.valid = dr.full(mi.Bool, True, dr.width(prim))
         found.t = length
-        found.prim_uv = mi.Point2f(a, b)
+        found.prim_uv = self.tree.surfaces.mitsubas(prim, a, b)
         found.prim_index = dr.gather(mi.UInt32, self.index, prim)
         found.shape = dr.reinterpret_array(mi.ShapePtr, dr.gather(mi.UInt32, self.shape, prim))
         ray = mi.Ray3f(p + up * length, -up)

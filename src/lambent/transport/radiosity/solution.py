@@ -35,9 +35,11 @@ class RadiositySolution:
 
     Of the ``n`` patches' ``2 n`` faces (`lambent.transport.radiosity.patches`), ``(2 n, 3)`` each:
     ``reflectance``, ``emission`` (emitted radiosity, W/m²), ``direct`` and ``indirect`` irradiance,
-    ``residual`` of the equation; ``error``: relative standard error of a face's indirect light, from
-    the number of rays (None where form factors are not by rays); ``live`` ``(2 n,)``: faces that light reaches. ``child``,
-    ``prim``, ``corner``, ``cell_patch``: the cells and the patch of each.
+    ``residual`` of the equation; ``live`` ``(2 n,)``: faces that light reaches. ``error``: relative
+    standard error of a face's indirect light, from the number of rays (None where form factors are
+    not by rays). ``child``, ``prim``, ``corner``, ``cell_patch``: the cells and the patch of each.
+    ``scene``: its file, with the values of its ``parameters``; ``scene_digest`` tells whether it
+    has changed since.
     """
 
     child: NDArray[np.int32]
@@ -53,6 +55,8 @@ class RadiositySolution:
     history: History
     digest: str
     scene: str | None = None
+    scene_digest: str = ""
+    parameters: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
@@ -144,6 +148,8 @@ class RadiositySolution:
             "method": METHOD,
             "scene": self.scene,
             "geometry": self.digest,
+            "scene_digest": self.scene_digest,
+            "parameters": self.parameters,
             "patches": len(self),
             "settings": self.settings,
             "notes": list(self.notes),
@@ -170,6 +176,8 @@ class RadiositySolution:
             history=History(**card["history"]),
             digest=card["geometry"],
             scene=card["scene"],
+            scene_digest=card["scene_digest"],
+            parameters=card["parameters"],
             settings=card["settings"],
             notes=tuple(card["notes"]),
             seconds=card["seconds"],

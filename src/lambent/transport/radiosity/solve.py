@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import OptionError, UnknownNameError
+from lambent.errors import OptionError, UnknownNameError, by_interrupt
 from lambent.render.scene import LoadedScene
-from lambent.transport.diffuse import assumptions, is_two_sided
+from lambent.transport.diffuse import assumptions
 from lambent.transport.radiosity import adaptive, light
 from lambent.transport.radiosity.balance import balanced, symmetric
 from lambent.transport.radiosity.casting import cast, gathered
@@ -26,6 +26,8 @@ from lambent.transport.surfaces import Array, Surfaces, surfaces_of
 SCOUTS = 64
 #: Seconds from one look of a watcher to the next, at least.
 WATCH_EVERY = 2.0
+#: More patches than this are refused.
+MOST = 5e6
 #: Rounds of refinement; each but the last adds half of what is left.
 ROUNDS = 4
 
@@ -115,8 +117,6 @@ class _Work:
             )
         said = assumptions(self.scene, self.surfaces.left_out, self.surfaces.degenerate)
         self.notes = list(said.sentences)
-        sided = np.array([is_two_sided(shape) for shape in self.surfaces.shapes], bool)
-        self.two_sided = sided[self.surfaces.shape]
         self.seconds: dict[str, float] = {}
         self.next_watch = 0.0
 
@@ -125,10 +125,12 @@ class _Work:
         wish = self.settings
         self.progress(0, 1, "cutting the surfaces")
         aim = wish.patches if not wish.adaptive else max(64, wish.patches // 6)
-        size = wish.size or size_for(self.surfaces, aim)
+        size = wish.size if wish.size is not None else size_for(self.surfaces, aim)
+        self._check_size(size)
         cells = uniform(self.surfaces, size)
         if not wish.adaptive:
             return self.once(cluster(cells, size), None, "")
+        found: RadiositySolution | None = None
         rough = replace(wish, rays=max(32, wish.rays // 4), tolerance=1e-3, solver="cg")
         final = wish
         base = len(cells.child)
@@ -138,12 +140,29 @@ class _Work:
             if left <= 0:
                 break
             self.settings = rough
-            found = self.once(patches, None, f"round {round_ + 1}: ")
+            try:
+                found = self.once(patches, None, f"round {round_ + 1}: ")
+            except BaseException as error:
+                if found is None or not by_interrupt(error):
+                    raise
+                return replace(found, interrupted=True)  # rough, but whole
             share = adaptive.shares(patches, found.reflected, found.live.astype(float))
             more = left if round_ == ROUNDS - 1 else left // 2
             cells = adaptive.refined(patches, share, more)
         self.settings = final
         return self.once(cluster(cells, size, base), None, "")
+
+    def _check_size(self, size: float) -> None:
+        """Refuse patches so small that cutting alone would fill the memory."""
+        if not size > 0:
+            raise OptionError(f"patches of size {size:g} cannot be", remedy="give a length above 0")
+        count = float(self.surfaces.area.sum()) / (size * size)
+        if count > MOST:
+            raise OptionError(
+                f"patches of size {size:g} would be {count:,.0f}, which takes about "
+                f"{count * 2e4 / 2**30:,.0f} GiB",
+                remedy=f"take --patch-size {(count / 1e5) ** 0.5 * size:.3g}, for 100,000",
+            )
 
     def go_on(self, start: RadiositySolution) -> RadiositySolution:
         """The same patches, from what was reached."""
@@ -161,8 +180,7 @@ class _Work:
         with self.timed("light"):
             self.progress(0, 1, f"{words}{n:,} patches: materials and direct light")
             seen = light.look(scene, probe, every, seed=wish.seed)
-            black = ~self._sides(patches)
-            rho = np.where(black[:, None], 0, seen.reflectance)
+            rho = seen.reflectance
             reflecting = rho.max(axis=1) > 0
             arriving = np.zeros((2 * n, 3))
             at = np.flatnonzero(reflecting)
@@ -175,6 +193,11 @@ class _Work:
                 file=self.loaded.path,
                 remedy="check the emitters, and the sides of one-sided materials",
             )
+        if wish.direct == "factors":
+            lost = sorted({e.class_name() for e in scene.emitters() if e.get_shape() is None})
+            if lost:
+                words = "left out, since light goes through form factors"
+                self.notes.append(f"{words}: {', '.join(lost)}")
         with self.timed("form factors"):
             through_f = wish.direct == "factors"
             if through_f:
@@ -210,6 +233,7 @@ class _Work:
             # whoever watches may take a tenth of the time
             now = time.monotonic()
             self.next_watch = now + max(WATCH_EVERY, 10 * (now - began))
+            self.seconds["solver"] = self.seconds.get("solver", 0.0) - (now - began)
 
         so_far = History()
         with self.timed("solver"):
@@ -242,16 +266,6 @@ class _Work:
             self.seconds[what] = self.seconds.get(what, 0.0) + time.monotonic() - began
 
         return clock()
-
-    def _sides(self, patches: Patches) -> NDArray[np.bool_]:
-        """``(2 n,)``: sides whose material reflects: all fronts, and the backs of two-sided ones.
-
-        A flipped normal is a matter of the scene: Mitsuba's own notion of front is taken.
-        """
-        prim = patches.cells.prim[patches.leaf[patches.start[:-1]]]
-        sides = np.ones((len(patches), 2), bool)
-        sides[:, 1] = self.two_sided[prim]
-        return sides.ravel()
 
     def _live(
         self, patches: Patches, probe: Probe, reflecting: Any, lit: Any, words: str
@@ -303,7 +317,7 @@ class _Work:
         shares = found.shares[:, faces]
         seen = np.asarray(shares.sum(axis=1)).ravel()
         self.progress(0, 1, f"{words}reciprocity")
-        factors, off = balanced(symmetric(shares, area), area, seen)
+        factors, off = balanced(symmetric(shares, area), area, seen, wish.rays)
         return factors, None, off
 
     def _error(
@@ -322,7 +336,9 @@ class _Work:
         mine = equation.apply(x)
         apart = equation.norm(mine - other)
         size = equation.norm(mine)
-        return apart / size / (1 + self.settings.rays / few) ** 0.5 if size > 0 else 0.0
+        if not size > 0:
+            return 1.0 if apart > 0 else 0.0
+        return apart / size / (1 + self.settings.rays / few) ** 0.5
 
     def _packed(
         self, patches: Patches, faces: Any, rho: Array, emission: Array, arriving: Array,
@@ -348,6 +364,7 @@ class _Work:
             history=history,
             digest=digest_of(self.surfaces),
             scene=None if self.loaded.path is None else str(self.loaded.path.resolve()),
+            scene_digest=self.loaded.digest,
             settings={k: v for k, v in vars(self.settings).items()},
             notes=tuple(notes),
             seconds=dict(self.seconds),

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from lambent.errors import OptionError
+from lambent.errors import OptionError, by_interrupt
 from lambent.transport.surfaces import Array
 
 Steps = Iterator[Array]
@@ -240,6 +240,8 @@ def run(
     began = time.monotonic()
     x = eq.first.copy() if start is None else start
     size = eq.norm(eq.first) or 1.0
+    if len(eq.first) == 0:
+        return x, history, False
     make = SOLVERS[solver][0]
     try:
         made = make(eq) if solver == "direct" else make(eq, start)
@@ -250,11 +252,15 @@ def run(
             history.residuals.append(residual)
             history.power.append(float((eq.area[:, None] * x).sum()))
             if watch is not None:
+                watching = time.monotonic()
                 watch(step, residual, x)
+                began += time.monotonic() - watching  # whoever watches does not use up the time
             over = seconds is not None and time.monotonic() - began > seconds
             if residual <= tolerance or step >= steps or over:
                 break
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not by_interrupt(error):
+            raise
         return x, history, True
     return x, history, False
 
