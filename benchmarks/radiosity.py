@@ -148,9 +148,9 @@ def accuracy(arguments):
             found = solve(loaded, Settings(patches=count, adaptive=adaptive, rays=arguments.rays,
                                            samples=arguments.samples))  # fmt: skip
             errors = {}
-            for show, spp in (("smooth", 64), ("gather", arguments.gather_spp)):
+            for show, spp in (("smooth", 256), ("gather", arguments.gather_spp)):
                 frame = picture(found.integrator(show), loaded, spp, "none")
-                own = frame.get(Role.COLOUR, Stat.VARIANCE).mean(2) if show == "gather" else 0
+                own = frame.get(Role.COLOUR, Stat.VARIANCE).mean(2)
                 errors[show] = relmse(frame.colour, r, noise + own)
                 mean = float(frame.colour.mean() / r.mean())
             cut = "adaptive" if adaptive else "uniform"

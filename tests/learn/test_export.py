@@ -70,3 +70,25 @@ def test_weights_come_back(network, files):
         if name.endswith("weight"):  # a step of the channel (the first layer has half as many)
             step = value.abs().amax(dim=(1, 2, 3), keepdim=True) / 127
             assert bool(((rounded[name] - value).abs() <= 1.1 * step + 1e-7).all()), name
+
+
+def test_the_mean_of_two_models_lies_between_them(tmp_path):
+    from lambent.errors import OptionError
+    from lambent.learn.export import average, export, float_weights
+
+    paths = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        path = tmp_path / f"{seed}.lambent"
+        export(LambentNet("fast"), path, {"name": str(seed), "recipe": {"size": "fast"}}, None)
+        paths.append(str(path))
+    torch.manual_seed(3)
+    other = tmp_path / "other.lambent"
+    export(LambentNet("default"), other, {"name": "other"}, None)
+    card = average(paths, tmp_path / "mean.lambent")
+    assert [part["name"] for part in card["averaged"]] == ["1", "2"]
+    one, two, mean = (float_weights(p) for p in (*paths, str(tmp_path / "mean.lambent")))
+    for name, value in mean.items():
+        torch.testing.assert_close(value, (one[name] + two[name]) / 2, rtol=2e-3, atol=1e-4)
+    with pytest.raises(OptionError, match="different sizes"):
+        average([paths[0], str(other)], tmp_path / "no.lambent")

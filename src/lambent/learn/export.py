@@ -13,7 +13,7 @@ import json
 import logging
 import tempfile
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from torch import nn
 
 from lambent.denoise.inputs import CHANNELS
 from lambent.denoise.model_file import find_model, read_model, write_model
-from lambent.errors import LambentError
+from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.loop import Run
 
@@ -130,6 +130,36 @@ def float_weights(model: str) -> dict[str, torch.Tensor]:
                 )  # fmt: skip
                 found[f"{name}.bias"] = torch.from_numpy(_value(bias).reshape(-1).copy())
     return found
+
+
+def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[str, Any]:
+    """The mean of the weights of models of one size that began alike, as a model file; its card.
+
+    Between a network and what fine-tuning made of it lies often one that has the gain of the one
+    and most of the other's (Wortsman et al. 2022, "Model soups"). The first model's card is kept,
+    with all of them under ``averaged``. Raises `FileError`, `OptionError`, `OutputError`.
+    """
+    from lambent.learn.networks.lambent import LambentNet
+
+    if len(models) < 2:
+        raise OptionError("a mean needs two models or more")
+    files = [read_model(find_model(model)) for model in models]
+    weights = [float_weights(model) for model in models]
+    shapes = [{k: tuple(v.shape) for k, v in w.items()} for w in weights]
+    if any(shape != shapes[0] for shape in shapes):
+        raise OptionError("models of different sizes have no mean", remedy="take models of one size")
+    first = dict(files[0].card)
+    for key in ("sha256", "format", "inputs", "int8"):
+        first.pop(key, None)
+    parts = [
+        {k: file.card.get(k) for k in ("name", "recipe", "step", "hours", "score", "data")}
+        for file in files
+    ]
+    model = LambentNet(first.get("recipe", {}).get("size", "default"))
+    model.load_state_dict({k: sum(w[k] for w in weights) / len(weights) for k in weights[0]})
+    card = {**first, "averaged": parts}
+    export(model, path, card, None, overwrite, half=True)
+    return card
 
 
 # ------------------------------------------------------------------- private

@@ -28,6 +28,8 @@ SCOUTS = 64
 WATCH_EVERY = 2.0
 #: More patches than this are refused.
 MOST = 5e6
+#: How much longer patches are before an adaptive solve cuts them.
+COARSER = 2.5
 #: Rounds of refinement; each but the last adds half of what is left.
 ROUNDS = 4
 
@@ -121,13 +123,15 @@ class _Work:
         self.next_watch = 0.0
 
     def begin(self) -> RadiositySolution:
-        """Cut and solve; with ``adaptive`` from a sixth of the patches up."""
+        """Cut and solve; with ``adaptive`` from large patches down."""
         wish = self.settings
         self.progress(0, 1, "cutting the surfaces")
-        aim = wish.patches if not wish.adaptive else max(64, wish.patches // 6)
-        size = wish.size if wish.size is not None else size_for(self.surfaces, aim)
+        size = wish.size if wish.size is not None else size_for(self.surfaces, wish.patches)
         self._check_size(size)
-        cells = uniform(self.surfaces, size)
+        # large surfaces begin coarse, and are cut where it pays; small triangles share a patch as
+        # they would without, since what shares is not cut
+        coarse = size if not wish.adaptive else size * COARSER
+        cells = uniform(self.surfaces, coarse)
         if not wish.adaptive:
             return self.once(cluster(cells, size), None, "")
         found: RadiositySolution | None = None
