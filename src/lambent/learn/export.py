@@ -147,7 +147,9 @@ def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[
     weights = [float_weights(model) for model in models]
     shapes = [{k: tuple(v.shape) for k, v in w.items()} for w in weights]
     if any(shape != shapes[0] for shape in shapes):
-        raise OptionError("models of different sizes have no mean", remedy="take models of one size")
+        raise OptionError(
+            "models of different sizes have no mean", remedy="take models of one size"
+        )
     first = dict(files[0].card)
     for key in ("sha256", "format", "inputs", "int8"):
         first.pop(key, None)
