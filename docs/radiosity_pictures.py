@@ -68,7 +68,6 @@ def room(scenes: Path) -> None:
 
 def growing(scenes: Path) -> None:
     """Progressive refinement, after so many shots."""
-    from lambent.transport.radiosity import solvers
     from lambent.transport.radiosity.solve import Settings, solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
@@ -78,7 +77,6 @@ def growing(scenes: Path) -> None:
     shown = None
     for steps in (1, 4, 12, 40, 200):
         found = solve(loaded, Settings(patches=4000, solver="southwell", steps=steps))
-        assert solvers.SOLVERS["southwell"]
         shown = shown or found.integrator("smooth")
         shown.update(found)
         images.append(picture(shown, loaded, 32, "none").colour)

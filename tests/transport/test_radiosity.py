@@ -430,3 +430,17 @@ def test_scenes_without_light_or_surface_are_refused():
     empty = {"type": "scene", "sky": {"type": "constant"}, "sensor": boxes.camera()}
     with pytest.raises(OptionError, match="no surface"):
         solved(empty)
+
+
+def test_light_through_factors_leaves_points_out_and_says_so():
+    scene = {**boxes.room(), "point": {"type": "point", "position": [0, 0.5, 0]}}
+    seen = []
+    found = solved(scene, direct="factors", adaptive=True, watch=seen.append)
+    assert sum("PointLight" in note for note in found.notes) == 1
+    assert found.error is not None
+    assert seen
+
+    def stop(solution):
+        raise KeyboardInterrupt
+
+    assert solved(scene, direct="factors", solver="jacobi", watch=stop).interrupted

@@ -27,6 +27,7 @@ from typing import Any
 from lambent.denoise.inputs import VERSION
 from lambent.errors import DamagedFileError, FileError, UnknownNameError
 from lambent.frame.atomic import atomic
+from lambent.frame.magic import begins_as
 
 SUFFIX = ".lambent"
 #: The version of the file itself.
@@ -62,7 +63,7 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile:
     except FileNotFoundError:
         raise FileError("there is no such model", file=path, remedy=remedy) from None
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
-        if zipfile.is_zipfile(path) or _begins_as_zip(path):
+        if zipfile.is_zipfile(path) or begins_as(path, "zip"):
             raise DamagedFileError(f"is damaged: {error}", file=path, remedy=remedy) from None
         raise FileError("is no model of Lambent", file=path, remedy=remedy) from None
     except OSError as error:
@@ -129,11 +130,3 @@ def find_model(name: str) -> Path:
     if name.endswith(SUFFIX) or os.sep in name:
         return Path(name)
     raise UnknownNameError("network", name, list(known))
-
-
-def _begins_as_zip(path: Path) -> bool:
-    try:
-        with path.open("rb") as handle:
-            return handle.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 #: First bytes -> (kind, words for a person). Kinds that `lambent.frame.files` reads come first.
 _MAGIC: tuple[tuple[bytes, str, str], ...] = (
     (b"\x76\x2f\x31\x01", "exr", "an OpenEXR image"),
@@ -29,6 +31,16 @@ _MAGIC: tuple[tuple[bytes, str, str], ...] = (
 )
 
 EXR_MAGIC = _MAGIC[0][0]
+
+
+def begins_as(path: Path, kind: str) -> bool:
+    """Whether a file can be opened and begins as one of a kind does: cut off, perhaps, but one."""
+    try:
+        with path.open("rb") as handle:
+            found = kind_of(handle.read(16))
+    except OSError:
+        return False
+    return found is not None and found[0] == kind
 
 
 def kind_of(start: bytes) -> tuple[str, str] | None:

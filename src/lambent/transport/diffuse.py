@@ -3,7 +3,7 @@
 Radiosity knows a reflectance ρ and an emitted radiosity E for each side of a surface. Both are read
 off the scene's own materials: ρ(x) is what `lambent.render.surface` sees, the diffuse plus the
 specular albedo at normal incidence, held to at most `HIGHEST`, and light that a glass would let
-through counts as reflected. What is taken for something it is not is reported (`Assumptions`).
+through counts as reflected. What is taken for something it is not is reported (`assumptions`).
 
 A one-sided material reflects in front and is black behind; ``twosided`` ones have two sides. The
 other sides of glass count as two-sided, too.
@@ -13,7 +13,6 @@ other sides of glass count as two-sided, too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -31,15 +30,8 @@ _DIFFUSE = ("SmoothDiffuse", "TwoSidedBRDF")
 _TWO_SIDED = ("TwoSided", "SmoothDielectric", "ThinDielectric", "RoughDielectric", "PrincipledThin")
 
 
-@dataclass(frozen=True)
-class Assumptions:
-    """What was taken for what. ``sentences``: for a person, one each."""
-
-    sentences: tuple[str, ...]
-
-
-def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> Assumptions:
-    """What the diffuse world takes for granted about a scene."""
+def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> list[str]:
+    """What the diffuse world takes for what, in a scene: a sentence each, for a person."""
     kinds: dict[str, int] = {}
     masks = hulls = media = 0
     for shape in scene.shapes():
@@ -58,7 +50,7 @@ def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> Assump
             shown = _others(text) or [name]
             for other in shown[:1]:
                 kinds[other] = kinds.get(other, 0) + 1
-    said = []
+    said: list[str] = []
     if kinds:
         listed = ", ".join(f"{name} ({n})" for name, n in sorted(kinds.items()))
         said.append(f"taken as diffuse with their albedo: {listed}")
@@ -75,7 +67,7 @@ def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> Assump
         said.append(f"black, though they cast shadows: {listed}")
     if degenerate:
         said.append(f"{degenerate:,} triangles without an area were passed over")
-    return Assumptions(tuple(said))
+    return said
 
 
 def is_two_sided(shape: Any) -> bool:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, FileError
 from lambent.frame.atomic import atomic
+from lambent.frame.magic import begins_as
 
 #: The version of the file.
 FORMAT = 1
@@ -68,7 +69,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
     except IsADirectoryError:
         raise FileError("is a folder", file=path, remedy="name a .lambent file") from None
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
-        if _begins_as_zip(path):
+        if begins_as(path, "zip"):
             raise DamagedFileError(f"is damaged: {error}", file=path, remedy=_REMEDY) from None
         raise FileError("is no solution of Lambent", file=path, remedy=_REMEDY) from None
     except OSError as error:
@@ -91,14 +92,3 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
             )
         arrays[name.removesuffix(".npy")] = np.load(io.BytesIO(content), allow_pickle=False)
     return card, arrays
-
-
-# ------------------------------------------------------------------- private
-
-
-def _begins_as_zip(path: Path) -> bool:
-    try:
-        with path.open("rb") as handle:
-            return handle.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False

@@ -72,7 +72,7 @@ class Surfaces:
 
     def points(self, prim: NDArray[Any], ab: Array) -> tuple[Array, Array]:
         """Points and unit normals ``(N, 3)`` at parameters ``ab`` ``(N, 2)``, in NumPy."""
-        local, normal = _local(np, self.kind[prim], ab[:, 0], ab[:, 1])
+        local, normal = _local(self.kind[prim], ab[:, 0], ab[:, 1])
         m = self.matrix[prim]
         p = np.einsum("nij,nj->ni", m[:, :, :3], local) + m[:, :, 3]
         n = np.einsum("nij,nj->ni", _cofactor(m[:, :, :3]), normal)
@@ -263,7 +263,7 @@ def _cofactor(m: Array) -> Array:
     return np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=2)
 
 
-def _local(xp: Any, kind: NDArray[Any], a: Array, b: Array) -> tuple[Array, Array]:
+def _local(kind: NDArray[Any], a: Array, b: Array) -> tuple[Array, Array]:
     angle = 2 * np.pi * np.where(kind == DISK, b, a)
     c, s = np.cos(angle), np.sin(angle)
     z = 1 - 2 * b

@@ -127,11 +127,6 @@ class Patches:
     def __len__(self) -> int:
         return len(self.area)
 
-    @property
-    def diameter(self) -> Array:
-        """A length for each patch: the root of its area."""
-        return np.sqrt(self.area)
-
 
 def uniform(surfaces: Surfaces, size: float) -> Cells:
     """Cells of at most ``size``² area that are not longer than twice ``size``.

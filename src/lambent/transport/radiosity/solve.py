@@ -117,8 +117,7 @@ class _Work:
                 file=self.loaded.path,
                 remedy="give a scene with meshes, rectangles, spheres, disks or cylinders",
             )
-        said = assumptions(self.scene, self.surfaces.left_out, self.surfaces.degenerate)
-        self.notes = list(said.sentences)
+        self.notes = assumptions(self.scene, self.surfaces.left_out, self.surfaces.degenerate)
         self.seconds: dict[str, float] = {}
         self.next_watch = 0.0
 
@@ -199,9 +198,9 @@ class _Work:
             )
         if wish.direct == "factors":
             lost = sorted({e.class_name() for e in scene.emitters() if e.get_shape() is None})
-            if lost:
-                words = "left out, since light goes through form factors"
-                self.notes.append(f"{words}: {', '.join(lost)}")
+            note = f"left out, since light goes through form factors: {', '.join(lost)}"
+            if lost and note not in self.notes:
+                self.notes.append(note)
         with self.timed("form factors"):
             through_f = wish.direct == "factors"
             if through_f:
