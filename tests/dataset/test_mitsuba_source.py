@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lambent.dataset.mitsuba_source import FileSource, ProceduralSource, varied
-from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import Draw, Window
 from lambent.errors import OptionError, UnknownNameError
 from lambent.frame.role import Role
+from lambent.phases import Phases
 
 needs_mitsuba = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="needs the extra 'render'"
@@ -144,7 +144,7 @@ def test_versions_load_no_renderer():
 
     code = (
         "import sys\nfrom lambent.dataset.mitsuba_source import ProceduralSource as P\n"
-        "from lambent.dataset.recipe import Recipe\nfrom lambent.dataset.phases import Phases\n"
+        "from lambent.dataset.recipe import Recipe\nfrom lambent.phases import Phases\n"
         "print(P(Recipe(name='x', seed=1), 'auto', Phases()).versions()['mitsuba'])\n"
         "assert 'mitsuba' not in sys.modules and 'drjit' not in sys.modules"
     )

@@ -18,13 +18,13 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from lambent.dataset.phases import Phases
 from lambent.dataset.plan import Job
 from lambent.dataset.produce import Failed, Made, attempt
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.dataset.workers import DEATHS
 from lambent.errors import EngineError
+from lambent.phases import Phases
 
 #: Processors that one worker takes where nothing is said.
 PROCESSORS = 2

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lambent.dataset.item import Still
-from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import Draw
 from lambent.errors import OptionError, UnknownNameError
 from lambent.frame.frame import Frame
+from lambent.phases import Phases
 
 if TYPE_CHECKING:
     from lambent.render.cycles import CyclesWorker

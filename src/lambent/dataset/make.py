@@ -19,12 +19,12 @@ from typing import Any
 from lambent.dataset import workers
 from lambent.dataset.check import Report, _silent, missing_items, settle
 from lambent.dataset.folder import add_item, begin, line_of, write_lines, writing
-from lambent.dataset.phases import Phases
 from lambent.dataset.plan import CLIP, STILL, jobs
 from lambent.dataset.produce import Failed, Made
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.errors import OptionError
+from lambent.phases import Phases
 from lambent.startup import cache_folder
 
 

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import Draw, UnfitSceneError
 from lambent.errors import OptionError
 from lambent.frame.frame import Frame
+from lambent.phases import Phases
 from lambent.render.variant import mitsuba
 
 if TYPE_CHECKING:

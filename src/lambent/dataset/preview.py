@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.dataset.check import Report, _silent
-from lambent.dataset.phases import Phases
 from lambent.dataset.plan import CLIP, STILL, Job, number, per_scene, scene_seed
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.dataset.recipe import Recipe
@@ -27,6 +26,7 @@ from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.phases import Phases
 
 Picture = NDArray[np.uint8]
 _GAP, _PAPER, _INK, _LINE = 4, 24, 200, 12

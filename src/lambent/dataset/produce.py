@@ -17,7 +17,6 @@ import numpy as np
 
 from lambent.dataset.item import Item, Still
 from lambent.dataset.pack import packed
-from lambent.dataset.phases import Phases
 from lambent.dataset.plan import (
     STILL,
     Job,
@@ -42,6 +41,7 @@ from lambent.dataset.windows import Choice, choose
 from lambent.errors import LambentError
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
+from lambent.phases import Phases
 
 #: So many crops of a camera are rendered together on this machine. It changes nothing in them;
 #: recording the kernel takes 0.3 s, and this many crops are lost when a process is killed.

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from lambent.dataset.item import Still
-from lambent.dataset.phases import Phases
 from lambent.dataset.recipe import Recipe
 from lambent.errors import LambentError, OptionError
 from lambent.frame.frame import Frame
+from lambent.phases import Phases
 from lambent.registry import Registry
 
 

@@ -17,11 +17,11 @@ from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from lambent.dataset.phases import Phases
 from lambent.dataset.plan import Job
 from lambent.dataset.produce import Failed, Made, attempt
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
+from lambent.phases import Phases
 
 #: A job is given up when so many workers have died of it.
 DEATHS = 3

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import OptionError, UnknownNameError, by_interrupt
+from lambent.phases import Phases
 from lambent.render.scene import LoadedScene
 from lambent.transport.diffuse import assumptions
 from lambent.transport.radiosity import adaptive, light
@@ -118,7 +119,7 @@ class _Work:
                 remedy="give a scene with meshes, rectangles, spheres, disks or cylinders",
             )
         self.notes = assumptions(self.scene, self.surfaces.left_out, self.surfaces.degenerate)
-        self.seconds: dict[str, float] = {}
+        self.phases = Phases()
         self.next_watch = 0.0
 
     def begin(self) -> RadiositySolution:
@@ -180,7 +181,7 @@ class _Work:
         n = len(patches)
         probe = Probe.of(patches)
         every = np.arange(2 * n)
-        with self.timed("light"):
+        with self.phases("light"):
             self.progress(0, 1, f"{words}{n:,} patches: materials and direct light")
             seen = light.look(scene, probe, every, seed=wish.seed)
             rho = seen.reflectance
@@ -201,7 +202,7 @@ class _Work:
             note = f"left out, since light goes through form factors: {', '.join(lost)}"
             if lost and note not in self.notes:
                 self.notes.append(note)
-        with self.timed("form factors"):
+        with self.phases("form factors"):
             through_f = wish.direct == "factors"
             if through_f:
                 reflecting = reflecting | shining  # lamps are seen, whether they reflect or not
@@ -232,14 +233,14 @@ class _Work:
             if self.watch is None or words or time.monotonic() < self.next_watch:
                 return
             began = time.monotonic()
-            self.watch(packed(x, so_far))
+            with self.phases("watching"):
+                self.watch(packed(x, so_far))
             # whoever watches may take a tenth of the time
             now = time.monotonic()
             self.next_watch = now + max(WATCH_EVERY, 10 * (now - began))
-            self.seconds["solver"] = self.seconds.get("solver", 0.0) - (now - began)
 
         so_far = History()
-        with self.timed("solver"):
+        with self.phases("solver"):
             begin = None
             if start is not None:
                 begin = start.reflected[faces]
@@ -254,21 +255,9 @@ class _Work:
         done = packed(x, history)
         if words or wish.factors == "pairs":
             return done
-        with self.timed("error"):
+        with self.phases("error"):
             self.progress(1, 1, "how far off it is")
             return replace(done, error=self._error(patches, probe, faces, live, area, equation, x))
-
-    def timed(self, what: str) -> Any:
-        """Adds the time that its block takes."""
-        from contextlib import contextmanager
-
-        @contextmanager
-        def clock() -> Any:
-            began = time.monotonic()
-            yield
-            self.seconds[what] = self.seconds.get(what, 0.0) + time.monotonic() - began
-
-        return clock()
 
     def _live(
         self, patches: Patches, probe: Probe, reflecting: Any, lit: Any, words: str
@@ -370,6 +359,6 @@ class _Work:
             scene_digest=self.loaded.digest,
             settings={k: v for k, v in vars(self.settings).items()},
             notes=tuple(notes),
-            seconds=dict(self.seconds),
+            seconds=dict(self.phases.seconds),
             interrupted=interrupted,
         )
