@@ -63,17 +63,19 @@ def test_killed_at_ten_random_moments(scene, tmp_path):
     that an undisturbed run makes: nothing lost, nothing doubled."""
     out, rng = tmp_path / "out.exr", random.Random(5)
     reached = [0]
+    longest = 2.2  # seconds until a kill; grows while a busy machine reaches no checkpoint in it
     for _ in range(10):
         process = subprocess.Popen(
             command(scene, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        time.sleep(rng.uniform(0.3, 2.2))
+        time.sleep(rng.uniform(0.3, longest))
         process.kill()
         process.wait()
         reached.append(spp_of(out))
         assert reached[-1] >= reached[-2]
         left = [p.name for p in tmp_path.iterdir() if p.name not in ("out.exr", "balls.xml")]
         assert left == []
+        longest *= 1.6 if reached[-1] == 0 else 1.0
     assert max(reached) > 0, "every kill came before the first checkpoint"
     subprocess.run(command(scene, out), check=True, capture_output=True)
     alone = tmp_path / "alone.exr"
@@ -88,18 +90,25 @@ def test_killed_at_ten_random_moments(scene, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_keeps_what_was_reached(scene, tmp_path, number):
-    """No checkpoint was due: the picture is written because of the signal."""
+    """No checkpoint was due: the picture is written because of the signal.
+
+    A busy machine may still be compiling the kernel when the signal comes; then nothing was
+    reached, nothing may be written, and a later signal is tried.
+    """
     out = tmp_path / "out.exr"
-    process = subprocess.Popen(
-        [*LAMBENT, "render", str(scene), "-o", str(out), "--time", "60", "--features", "none"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=renders.heed_ctrl_c,
-    )  # fmt: skip
-    time.sleep(6)
-    process.send_signal(number)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert "Traceback" not in err
+    for wait in (6, 15, 40, 100):
+        process = subprocess.Popen(
+            [*LAMBENT, "render", str(scene), "-o", str(out), "--time", "600", "--features", "none"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            preexec_fn=renders.heed_ctrl_c,
+        )  # fmt: skip
+        time.sleep(wait)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=120)
+        assert process.returncode == 130, err
+        assert "Traceback" not in err
+        if out.exists():
+            break
     reached = spp_of(out)
     assert reached >= 4
     done = subprocess.run(
