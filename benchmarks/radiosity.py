@@ -6,7 +6,8 @@
     python benchmarks/radiosity.py views SCENE.xml     # 1 to 100 frames: solve, trace, denoise
 
 All scenes are taken as diffuse (the integrator ``lambent_diffuse`` traces the same world). Errors
-are relMSE, (x - r)² / (r² + 0.01 mean²), the reference's own noise subtracted.
+are relMSE, (x - r)² / (r² + 0.01 mean²), the noise of reference and view subtracted; ± is one
+standard error of that, from the spread over pixels.
 """
 
 from __future__ import annotations
@@ -40,9 +41,10 @@ def median_time(call, rounds=3):
 
 
 def relmse(x, r, noise):
+    """relMSE without the noise (variances, a pixel), and its standard error."""
     size = r.mean(2) ** 2 + 0.01 * r.mean() ** 2
-    error = ((x - r) ** 2).mean(2) / size
-    return float(error.mean() - (noise / size).mean())
+    error = (((x - r) ** 2).mean(2) - noise) / size
+    return float(error.mean()), float(error.std() / error.size**0.5)
 
 
 # ---------------------------------------------------------------------- factors
@@ -140,22 +142,23 @@ def accuracy(arguments):
     size = r.mean(2) ** 2 + 0.01 * r.mean() ** 2
     print(f"{arguments.scene}, {r.shape[1]}x{r.shape[0]}; reference {arguments.spp} spp in "
           f"{spent:.0f} s, its own noise {float((noise / size).mean()):.1e}\n")  # fmt: skip
-    print("| patches | cut | smooth relMSE | gather relMSE | mean, gather / path |")
+    print("| patches | cut | smooth relMSE | gather relMSE | mean: smooth, gather / path |")
     print("| --: | :-- | --: | --: | --: |")
     rows = []
     for count in arguments.sizes:
-        for adaptive in (False, True):
+        for adaptive in [cut == "adaptive" for cut in arguments.cuts]:
             found = solve(loaded, Settings(patches=count, adaptive=adaptive, rays=arguments.rays,
                                            samples=arguments.samples))  # fmt: skip
-            errors = {}
+            errors, sure, mean = {}, {}, {}
             for show, spp in (("smooth", 256), ("gather", arguments.gather_spp)):
                 frame = picture(found.integrator(show), loaded, spp, "none")
                 own = frame.get(Role.COLOUR, Stat.VARIANCE).mean(2)
-                errors[show] = relmse(frame.colour, r, noise + own)
-                mean = float(frame.colour.mean() / r.mean())
+                errors[show], sure[show] = relmse(frame.colour, r, noise + own)
+                mean[show] = float(frame.colour.mean() / r.mean())
             cut = "adaptive" if adaptive else "uniform"
-            print(f"| {len(found):,} | {cut} | {errors['smooth']:.2e} | "
-                  f"{errors['gather']:.2e} | {mean:.4f} |", flush=True)  # fmt: skip
+            cells = [f"{errors[show]:.2e} ± {sure[show]:.0e}" for show in errors]
+            means = ", ".join(f"{share:.4f}" for share in mean.values())
+            print(f"| {len(found):,} | {cut} | {cells[0]} | {cells[1]} | {means} |", flush=True)
             rows.append({"patches": len(found), "cut": cut, **errors})
     if arguments.json:
         Path(arguments.json).write_text(json.dumps(rows, indent=1) + "\n")
@@ -238,7 +241,7 @@ def views(arguments):
     noise = reference.get(Role.COLOUR, Stat.VARIANCE).mean(2)
 
     def error(frame, own=0.0):
-        return relmse(frame.colour, reference.colour, noise + own)
+        return relmse(frame.colour, reference.colour, noise + own)[0]
 
     start = time.perf_counter()
     found = solve(loaded, Settings(patches=arguments.count, adaptive=True))
@@ -288,6 +291,7 @@ def main():
     parser.add_argument("scene", nargs="?")
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--sizes", type=lambda t: [int(x) for x in t.split(",")], default=None)
+    parser.add_argument("--cuts", type=lambda t: t.split(","), default=["uniform", "adaptive"])
     parser.add_argument("--size", default="256x256")
     parser.add_argument("--spp", type=int, default=4096)
     parser.add_argument("--gather-spp", type=int, default=512)

@@ -97,9 +97,16 @@ def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
             return tuple(_typed(key, v, inner[0], file) for v in value)
         wanted = "a list" if inner[-1] is ... else f"a list of {len(inner)}"
         raise OptionError(f"{key} = {value!r} should be {wanted}", file=file, remedy="see the docs")
+    kind = dict if typing.get_origin(kind) is dict else kind
     good = isinstance(value, (int, float) if kind is float else kind)
     if not good or (isinstance(value, bool) and kind is not bool):
-        words = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
+        words = {
+            int: "a whole number",
+            float: "a number",
+            str: "a text",
+            bool: "true or false",
+            dict: "a table",
+        }
         word = words[kind]
         raise OptionError(f"{key} = {value!r} should be {word}", file=file, remedy="see the docs")
     return kind(value)

@@ -19,8 +19,11 @@ def few_threads():
     torch.set_num_threads(before)
 
 
-def frame(rng, spp, size=64, clean=None):
-    """A textured picture under soft light, with ``spp`` samples of noise."""
+def frame(rng, spp, size=64, clean=None, lobes=False):
+    """A textured picture under soft light, with ``spp`` samples of noise.
+
+    ``lobes``: with a glossy stripe apart from the rest.
+    """
     y, x = np.mgrid[0:size, 0:size].astype(np.float32) / size
     albedo = np.stack([0.5 + 0.4 * np.sin(20 * x), 0.5 + 0.4 * np.cos(17 * y), 0.6 + 0 * x], 2)
     light = (0.2 + x * y)[:, :, None]
@@ -29,7 +32,20 @@ def frame(rng, spp, size=64, clean=None):
     normal = np.zeros((size, size, 3), np.float32)
     normal[:, :, 2] = 1
     colour = picture if clean else rng.gamma(picture**2 / noise**2, noise**2 / picture)
+    apart = {}
+    if lobes:
+        gloss = np.repeat(np.exp(-((x - 0.5) ** 2) * 200)[:, :, None], 3, 2).astype(np.float32)
+        shine = gloss if clean else gloss * rng.gamma(spp, 1 / spp, gloss.shape)
+        apart = {
+            "diffuse": colour.astype(np.float32),
+            "specular": shine.astype(np.float32),
+            "diffuse_albedo": albedo.astype(np.float32),
+            "diffuse_variance": noise.astype(np.float32) ** 2,
+            "specular_variance": gloss**2 / spp,
+        }
+        colour = colour + shine
     return Frame.from_arrays(
+        **apart,
         spp=spp,
         colour=colour.astype(np.float32),
         colour_variance=noise.astype(np.float32) ** 2,
@@ -40,19 +56,19 @@ def frame(rng, spp, size=64, clean=None):
     )
 
 
-def still(seed, size=64):
+def still(seed, size=64, lobes=False):
     """Levels of 1, 4 and 16 spp and the clean target."""
     rng = np.random.default_rng(seed)
-    levels = tuple(frame(rng, spp, size) for spp in (1, 4, 16))
-    return Still(levels, frame(rng, 4096, size, clean=True))
+    levels = tuple(frame(rng, spp, size, lobes=lobes) for spp in (1, 4, 16))
+    return Still(levels, frame(rng, 4096, size, clean=True, lobes=lobes))
 
 
-def stills(folder, count=4, size=64):
+def stills(folder, count=4, size=64, lobes=False):
     """Cached stills of as many scenes."""
     found = []
     for number in range(count):
         path = folder / f"{number}.npy"
-        about = cache._store(path, still(number, size))
+        about = cache._store(path, still(number, size, lobes))
         found.append(
             cache.Cached(
                 path,

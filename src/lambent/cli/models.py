@@ -143,9 +143,13 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
         ("fails", "; ".join(card.get("known_failures", ()))),
         (
             "score",
-            f"{score['score']:.3f} of OIDN High's error on held-out crops of its own data"
-            if score
-            else "",
+            card.get("score_says")
+            # cards from before there were models of other kinds
+            or (
+                f"{score['score']:.3f} of OIDN High's error on held-out crops of its own data"
+                if score
+                else ""
+            ),
         ),
     ]
 

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lambent.denoise import prepare, runtime
-from lambent.denoise.model_file import ModelFile, find_model, read_model
+from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
@@ -125,7 +125,7 @@ class Lambent(Denoiser):
         whole = self._whole or prepare.Whole.of(frame)
         given = prepare.Given.of(frame)
         results: list[FloatImage] = []
-        with runtime.network(self.model(), self.precision, self.threads) as network:
+        with runtime.pyramid_network(self.model(), self.precision, self.threads) as network:
             space = network.workspace
             memory = network.input(prepare.packed_shape(given))
             logits = network(prepare.packed_inputs(given, whole, self.preference, "cpu", memory))
@@ -142,16 +142,9 @@ class Lambent(Denoiser):
 
 def prefetch(name: str) -> None:
     """Load a model, its network and its kernels, so that the first frame need not wait."""
-    runtime.network(_model(name))
+    runtime.pyramid_network(_model(name))
     compile_all()
 
 
-_models: dict[str, ModelFile] = {}
-
-
 def _model(name: str) -> ModelFile:
-    path = find_model(name)
-    key = f"{path}:{path.stat().st_mtime_ns if path.exists() else 0}"
-    if key not in _models:
-        _models[key] = read_model(path)
-    return _models[key]
+    return loaded_model(name, "signals")

@@ -2,8 +2,9 @@
 
 The file is a ZIP archive (``.lambent``)::
 
-    card.json      what the model is: name, size, the version of its inputs (`inputs.VERSION`),
-                   how it was trained on what, its scores, and the SHA-256 of the other members
+    card.json      what the model is: name, size, what it reads (a key of `READS`) and the
+                   version of that, how it was trained on what, its scores, and the SHA-256 of the
+                   other members
     network.xml    the network as OpenVINO reads it
     network.bin    its weights
 
@@ -24,7 +25,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from lambent.denoise.inputs import VERSION
+from lambent.denoise import inputs, lobes
 from lambent.errors import DamagedFileError, FileError, UnknownNameError
 from lambent.frame.atomic import atomic
 from lambent.frame.magic import begins_as
@@ -32,6 +33,9 @@ from lambent.frame.magic import begins_as
 SUFFIX = ".lambent"
 #: The version of the file itself.
 FORMAT = 1
+#: What a network may read, and the version of its description: `inputs`, `lobes`, or the values of
+#: a display-referred picture themselves.
+READS: Mapping[str, int] = {"signals": inputs.VERSION, "lobes": lobes.VERSION, "pixels": 1}
 CARD, NETWORK, WEIGHTS = "card.json", "network.xml", "network.bin"
 
 
@@ -45,11 +49,11 @@ class ModelFile:
     path: Path
 
 
-def read_model(path: str | os.PathLike[str]) -> ModelFile:
-    """A model from a file.
+def read_model(path: str | os.PathLike[str], reads: str | None = None) -> ModelFile:
+    """A model from a file; ``reads``: what it must read, a key of `READS` (None: anything).
 
-    Raises `FileError`: missing, no model, made for another version of Lambent; `DamagedFileError`:
-    cut off, or not what its checksums say.
+    Raises `FileError`: missing, no model, of another kind, made for another version of Lambent;
+    `DamagedFileError`: cut off, or not what its checksums say.
     """
     path = Path(path)
     remedy = "name a model that lambent train has made, or install Lambent again"
@@ -70,12 +74,20 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile:
         raise FileError(f"cannot be read: {error}", file=path, remedy=remedy) from None
     if not isinstance(card, dict) or "sha256" not in card:
         raise FileError("is no model of Lambent", file=path, remedy=remedy)
-    if card.get("format") != FORMAT or card.get("inputs") != VERSION:
+    kind = card.get("reads", "signals")  # models from before there were others do not say
+    version = READS.get(kind)
+    if card.get("format") != FORMAT or version is None or card.get("inputs") != version:
         raise FileError(
             f"was made for another version of Lambent (format {card.get('format')}, inputs "
-            f"{card.get('inputs')}; here {FORMAT} and {VERSION})",
+            f"{card.get('inputs')} of {kind}; here {FORMAT} and {version})",
             file=path,
             remedy="train or export it again with this version",
+        )
+    if reads is not None and kind != reads:
+        raise FileError(
+            f"is a model that reads {kind}, not {reads}",
+            file=path,
+            remedy=f"see its card: lambent models --json; it is a {card.get('name', 'model')}",
         )
     for name, data in ((NETWORK, network), (WEIGHTS, weights)):
         if hashlib.sha256(data).hexdigest() != card["sha256"].get(name):
@@ -92,12 +104,16 @@ def write_model(
     weights: bytes,
     overwrite: bool = False,
 ) -> None:
-    """A model to a file, in one step. Raises `OutputError`."""
+    """A model to a file, in one step; the card's ``reads`` is a key of `READS`.
+
+    Raises `OutputError`.
+    """
     sums = {
         name: hashlib.sha256(data).hexdigest()
         for name, data in ((NETWORK, network), (WEIGHTS, weights))
     }
-    full = {**card, "format": FORMAT, "inputs": VERSION, "sha256": sums}
+    reads = card.get("reads", "signals")
+    full = {**card, "reads": reads, "format": FORMAT, "inputs": READS[reads], "sha256": sums}
     with (
         atomic(path, overwrite) as handle,
         zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive,
@@ -130,3 +146,18 @@ def find_model(name: str) -> Path:
     if name.endswith(SUFFIX) or os.sep in name:
         return Path(name)
     raise UnknownNameError("network", name, list(known))
+
+
+def loaded_model(name: str, reads: str) -> ModelFile:
+    """The model of a name or path, read once as long as its file does not change.
+
+    Raises `UnknownNameError` and what `read_model` raises.
+    """
+    path = find_model(name)
+    key = f"{reads}:{path}:{path.stat().st_mtime_ns if path.exists() else 0}"
+    if key not in _loaded:
+        _loaded[key] = read_model(path, reads)
+    return _loaded[key]
+
+
+_loaded: dict[str, ModelFile] = {}

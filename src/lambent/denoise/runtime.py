@@ -66,11 +66,48 @@ def probe() -> Inference | None:
 
 
 class Network:
-    """A compiled network. Calls take turns: one uses all cores, and its memory is used again."""
+    """A compiled network. Calls take turns: one uses all cores."""
 
     def __init__(self, compiled: Any) -> None:
         self._request = compiled.create_infer_request()
         self._lock = threading.Lock()
+
+    def __enter__(self) -> Network:
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def outputs(self, *planes: FloatImage) -> list[FloatImage]:
+        """All outputs for inputs ``(1, C, H, W)``, float32; the next call writes them again.
+
+        Only within ``with network:``.
+        """
+        import openvino as ov
+
+        for number, array in enumerate(planes):
+            self._request.set_input_tensor(number, ov.Tensor(array, shared_memory=True))
+        self._run()
+        return [
+            self._request.get_output_tensor(number).data
+            for number in range(len(self._request.model_outputs))
+        ]
+
+    def _run(self) -> None:
+        self._request.start_async()
+        while not self._request.wait_for(100):  # so that Ctrl-C is heard
+            pass
+
+
+class PyramidNetwork(Network):
+    """The network of our own denoiser: its logits go where `kernels.pyramid` takes them from.
+
+    Its memory is used again by the next frame of the size.
+    """
+
+    def __init__(self, compiled: Any) -> None:
+        super().__init__(compiled)
         self._logits: list[Logits] = []
         self._packed: FloatImage | None = None
         self.workspace = Workspace()
@@ -82,12 +119,9 @@ class Network:
             self._packed = aligned(shape)
         return self._packed
 
-    def __enter__(self) -> Network:
-        self._lock.acquire()
+    def __enter__(self) -> PyramidNetwork:
+        super().__enter__()
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._lock.release()
 
     def __call__(self, packed: FloatImage) -> list[Logits]:
         """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
@@ -110,14 +144,21 @@ class Network:
                 shape = ov.Shape([1, *array.shape])
                 self._request.set_output_tensor(number, ov.Tensor(array, shape, ov.Type.bf16))
         self._request.set_input_tensor(ov.Tensor(packed, shared_memory=True))
-        self._request.start_async()
-        while not self._request.wait_for(100):  # so that Ctrl-C is heard
-            pass
+        self._run()
         return self._logits
 
 
 _networks: dict[tuple[str, str, int | None], Network] = {}
 _networks_lock = threading.Lock()
+
+
+def pyramid_network(
+    model: ModelFile, precision: str = "auto", threads: int | None = None
+) -> PyramidNetwork:
+    """`network` of a model that reads signals and predicts a pyramid's kernels."""
+    found = network(model, precision, threads)
+    assert isinstance(found, PyramidNetwork)
+    return found
 
 
 def network(model: ModelFile, precision: str = "auto", threads: int | None = None) -> Network:
@@ -129,7 +170,8 @@ def network(model: ModelFile, precision: str = "auto", threads: int | None = Non
     key = (str(model.card["sha256"]), precision, threads)
     with _networks_lock:
         if key not in _networks:
-            _networks[key] = Network(_compiled(model, precision, threads))
+            kind = PyramidNetwork if _is_pyramid(model) else Network
+            _networks[key] = kind(_compiled(model, precision, threads))
         return _networks[key]
 
 
@@ -147,13 +189,19 @@ def _compiled(model: ModelFile, precision: str, threads: int | None) -> Any:
         options["INFERENCE_NUM_THREADS"] = threads
     try:
         graph = core.read_model(model.network, model.weights)
-        return core.compile_model(_with_short_outputs(graph), "CPU", options)
+        if _is_pyramid(model):
+            graph = _with_short_outputs(graph)
+        return core.compile_model(graph, "CPU", options)
     except RuntimeError as error:
         raise DamagedFileError(
             f"OpenVINO does not take this network: {str(error).strip().splitlines()[-1]}",
             file=model.path,
             remedy="install Lambent again, or export the model again",
         ) from error
+
+
+def _is_pyramid(model: ModelFile) -> bool:
+    return bool(model.card.get("reads", "signals") == "signals")
 
 
 def _with_short_outputs(graph: Any) -> Any:

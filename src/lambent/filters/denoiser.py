@@ -217,6 +217,10 @@ DENOISERS = Registry(
     "model",
     {
         "lambent": "lambent.denoise.learned:Lambent",
+        "kpcn": "lambent.denoise.papers:KPCN",
+        "dpcn": "lambent.denoise.papers:DPCN",
+        "modular": "lambent.denoise.papers:Modular",
+        "dncnn": "lambent.denoise.dncnn:DnCNN",
         "oidn": "lambent.filters.oidn:OIDN",
         "oidn-balanced": "lambent.filters.oidn:OIDNBalanced",
         "oidn-fast": "lambent.filters.oidn:OIDNFast",

@@ -171,8 +171,8 @@ def explain(
     """
     denoiser = create(model, **params) if isinstance(model, str) else model
     name = denoiser.about.name
-    if not denoiser.about.linear:
-        linear = [n for n in DENOISERS if not n.startswith("oidn")]
+    if not denoiser.about.linear and getattr(denoiser, "weights_at", None) is None:
+        linear = [n for n in DENOISERS if DENOISERS[n].about.linear]
         raise OptionError(
             f"the result of '{name}' is no weighted mean of pixels: it has no weights to show",
             remedy=f"take one of {', '.join(linear)}",

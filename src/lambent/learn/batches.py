@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from lambent.frame.layer import FloatImage
 from lambent.learn import lamps
 from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
 from lambent.learn.cache import Cached
+
+T = TypeVar("T")
 
 #: Share of the frames that get a splatted pixel filter.
 SPLATTED = 0.2
@@ -58,8 +61,8 @@ class Sampler:
     others. From `HIGHEST` on all is one bin, so that a handful of crops is not learned by heart.
     """
 
-    def __init__(self, stills: Sequence[Cached]) -> None:
-        self.stills = stills
+    def __init__(self, stills: Sequence[Cached], lobes: bool = False) -> None:
+        self.stills, self.lobes = stills, lobes
         bins: dict[int, list[tuple[int, int]]] = {}
         for i, still in enumerate(stills):
             for k, spp in enumerate(still.spp):
@@ -73,7 +76,7 @@ class Sampler:
         """A level of a still, or several of its levels merged."""
         which = self._bins[int(rng.choice(len(self._bins), p=self._weights))]
         number, level = which[int(rng.integers(len(which)))]
-        levels, target, deviation = self.stills[number].load()
+        levels, target, deviation = self.stills[number].load(self.lobes)
         chosen = [levels[level]]
         if rng.random() < MERGED:
             chosen += [lv for k, lv in enumerate(levels) if k != level and rng.random() < 0.5]
@@ -119,13 +122,13 @@ def batches(
 
 
 def ahead(
-    make: Callable[[int, int], Row], first: int, size: int, rank: int = 0, world: int = 1
-) -> Iterator[list[Row]]:
+    make: Callable[[int, int], T], first: int, size: int, rank: int = 0, world: int = 1
+) -> Iterator[list[T]]:
     """Batches of the rows ``make(step, number)``, made ahead so that the network does not wait."""
-    waiting: queue.Queue[list[Row] | BaseException] = queue.Queue(3)
+    waiting: queue.Queue[list[T] | BaseException] = queue.Queue(3)
     over = threading.Event()
 
-    def put(thing: list[Row] | BaseException) -> None:
+    def put(thing: list[T] | BaseException) -> None:
         while not over.is_set():
             try:
                 return waiting.put(thing, timeout=0.2)

@@ -1,10 +1,11 @@
 """A data set as plain arrays, so that training never waits for an EXR to be unpacked.
 
-A cached still is one file of half floats, ``(15 L + 4, H, W)``: for each of its L noise levels the
-planes of `denoise.inputs.signals_of` in the order of `PLANES_OF`, then the target's colour and
-the deviation of its mean. Colours are at the target's exposure (`kernels.oidn.exposure`), where a
-half float holds 6e-8 to 65504. ``index.json`` says what is where. The cache is a folder that can
-be deleted at any time: it is made again from the data set, and grows with it.
+A cached still is one file of half floats, ``(25 L + 7, H, W)``: for each of its L noise levels the
+planes of `denoise.inputs.signals_of`, then those of `denoise.lobes` that it lacks, in the order of
+`STORED`; then the target's colour, the deviation of its mean, and its diffuse part. Colours are at
+the target's exposure (`kernels.oidn.exposure`), where a half float holds 6e-8 to 65504.
+``index.json`` says what is where. The cache is a folder that can be deleted at any time: it is made
+again from the data set, and grows with it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import numpy as np
 from lambent.dataset.item import Still
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.denoise.inputs import LAYERS, Signals, signals_of
+from lambent.denoise.lobes import LOBES, lobes_of
 from lambent.errors import LambentError
 from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
@@ -31,11 +33,13 @@ from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
 
 #: Layers of a level in the file, after its three channels of colour.
-STORED = {name: count for name, count in LAYERS.items() if name != "history"}
+STORED = {name: count for name, count in LAYERS.items() if name != "history"} | dict(LOBES)
 PLANES_OF = 3 + sum(STORED.values())
-TARGET_PLANES = 4
+TARGET_PLANES = 7
 #: What changes the files changes this.
-VERSION = 1
+VERSION = 2
+#: Layers in units of radiance: stored at the target's exposure.
+_RADIANCE = ("colour_std", "diffuse", "diffuse_std", "specular_std")
 _MOST = 6e4
 
 Progress = Callable[[float, float, str], None]
@@ -51,20 +55,24 @@ class Cached:
     scene: str
     exposure: float
 
-    def load(self) -> tuple[list[Signals], FloatImage, FloatImage]:
-        """The levels, the target ``(3, H, W)``, the deviation of its mean ``(1, H, W)``."""
+    def load(self, lobes: bool = False) -> tuple[list[Signals], FloatImage, FloatImage]:
+        """The levels, the target ``(3, H, W)``, the deviation of its mean ``(1, H, W)``.
+
+        With ``lobes`` the levels have the layers of `denoise.lobes.LOBES` too, and the target is
+        ``(6, H, W)``: colour, and the diffuse part of it.
+        """
         memory = np.load(self.file, mmap_mode="r")
         levels = []
         for k, there in enumerate(self.layers):
             planes = np.asarray(memory[k * PLANES_OF : (k + 1) * PLANES_OF], np.float32)
             found, at = {}, 3
             for name, count in STORED.items():
-                if name in there:
+                if name in there and (lobes or name not in LOBES):
                     found[name] = planes[at : at + count]
                 at += count
             levels.append(Signals(planes[:3], found, float(self.spp[k])))
         target = np.asarray(memory[-TARGET_PLANES:], np.float32)
-        return levels, target[:3], target[3:]
+        return levels, target[[0, 1, 2, 4, 5, 6] if lobes else slice(0, 3)], target[3:4]
 
 
 def cached(
@@ -148,7 +156,7 @@ def _unpack(job: tuple[Path, Path, list[int]]) -> list[tuple[str, list[dict[str,
 def _store(path: Path, still: Still) -> dict[str, Any]:
     """Write a still; what its entry says of it."""
     factor = exposure(still.target.colour)
-    levels = [signals_of(frame) for frame in still.levels]
+    levels = [_with_lobes(signals_of(frame), frame) for frame in still.levels]
     planes = []
     for level in levels:
         planes.append(level.colour * np.float32(factor))
@@ -156,7 +164,7 @@ def _store(path: Path, still: Still) -> dict[str, Any]:
             layer = level.layers.get(name)
             if layer is None:
                 layer = np.zeros((count, *level.colour.shape[1:]), np.float32)
-            planes.append(layer * np.float32(factor) if name == "colour_std" else layer)
+            planes.append(layer * np.float32(factor) if name in _RADIANCE else layer)
     planes += [_target(still.target) * np.float32(factor)]
     memory = np.clip(np.concatenate(planes), -_MOST, _MOST).astype(np.float16)
     partial = path.with_suffix(f".{os.getpid()}.part.npy")  # another run may unpack it, too
@@ -176,4 +184,11 @@ def _target(frame: Frame) -> FloatImage:
             "a target has no variance", remedy="make the data set again: lambent dataset make"
         )
     deviation = np.sqrt(variance.mean(axis=2, keepdims=True))
-    return np.concatenate([frame.colour, deviation], axis=2).transpose(2, 0, 1)
+    diffuse = frame.get(Role.DIFFUSE)
+    if diffuse is None:  # no lobes in this data set: nothing that needs them can be trained on it
+        diffuse = np.zeros_like(frame.colour)
+    return np.concatenate([frame.colour, deviation, diffuse], axis=2).transpose(2, 0, 1)
+
+
+def _with_lobes(signals: Signals, frame: Frame) -> Signals:
+    return replace(signals, layers={**signals.layers, **lobes_of(frame)})

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lambent.dataset.reader import open_dataset
-from lambent.denoise.inputs import MASKS, Signals
+from lambent.denoise.inputs import CHANNELS, MASKS, Signals
 from lambent.errors import OptionError
 from lambent.filters.denoiser import create
 from lambent.frame.frame import Frame
@@ -22,14 +20,13 @@ from lambent.learn import lamps, losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import Row, Sampler, batches, ready, row
 from lambent.learn.cache import Cached, cached
+from lambent.learn.held_out import about_sets, errors_of, parted, spread
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Pictures
+from lambent.learn.task import Exportable, Pictures
 
 #: Subsets of layers that a network is scored with.
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
-#: Share of the pixels, those with the largest error, that the trimmed error leaves out.
-TRIMMED = 1e-3
 #: Rows that int8 is calibrated with.
 CALIBRATION = 128
 
@@ -96,15 +93,9 @@ class DenoisingTask:
             raise OptionError(
                 f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
             )
-        held = [s for s in stills if _is_held_out(s, recipe.held_out)]
-        kept = [s for s in stills if not _is_held_out(s, recipe.held_out)]
-        if not kept or (recipe.held_out and not held):
-            raise OptionError(
-                f"{len(stills)} stills are too few to hold some scenes out",
-                remedy="make more data, or set held_out = 0",
-            )
+        kept, held = parted(stills, recipe.held_out)
         self.train = Sampler(kept)
-        self.checked = _spread(held or kept, recipe.checked)
+        self.checked = spread(held or kept, recipe.checked)
         self._yardstick: dict[str, float] | None = None
 
     def network(self) -> nn.Module:
@@ -123,26 +114,22 @@ class DenoisingTask:
         x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
 
+    def exportable(self, model: nn.Module) -> Exportable:
+        """The network, reading packed signals."""
+        examples = (torch.zeros(1, CHANNELS, 64, 64),)
+        return Exportable(model, examples, "signals")
+
+    def says(self, scores: Mapping[str, float]) -> str:
+        """For the card: the score in words."""
+        return f"{scores['score']:.3f} of OIDN High's error on held-out crops of its own data"
+
     def calibration(self) -> list[FloatImage]:
         """Packed inputs to measure the ranges of activations on: training rows as they come."""
         return [row(self.train, self.recipe.seed + 1, 0, n).packed for n in range(CALIBRATION)]
 
     def about_data(self) -> list[dict[str, Any]]:
         """For the card: what each data set is, how much of it, made of what."""
-        found = []
-        for folder in self.recipe.data:
-            data = open_dataset(folder)
-            found.append(
-                {
-                    "name": data.recipe.name,
-                    "crops": len(data.crops),
-                    "clips": len(data.clips),
-                    "scenes": len({data.line(i).get("seed") for i in range(len(data))}),
-                    "licences": data.manifest.get("licences", {}),
-                    "essence": data.recipe.essence,
-                }
-            )
-        return found
+        return about_sets(self.recipe.data)
 
     # ------------------------------------------------------------- validation
 
@@ -163,7 +150,7 @@ class DenoisingTask:
                 r = ready(_only(example, subset), 0.0, spp)
                 b = Batch.of([r], device)
                 x = cleaned(model, b)[0].float().cpu().numpy()
-                errors.append(_errors(x, example))
+                errors.append(errors_of(x, example))
                 if subset == "full" and len(pictures) < 8:
                     row = [example.noisy.colour, x, example.target]
                     name = f"{spp:g} spp"
@@ -210,7 +197,7 @@ class DenoisingTask:
             image = np.ascontiguousarray(example.noisy.colour.transpose(1, 2, 0))
             for into, given in ((plain, guides), (colour, {})):
                 x = oidn(Frame.from_arrays(colour=image, **given), "beauty").colour
-                into.append(_errors(x.transpose(2, 0, 1), example))
+                into.append(errors_of(x.transpose(2, 0, 1), example))
         _put(found, "full", plain)
         _put(found, "plain", plain)
         _put(found, "colour", colour)
@@ -220,29 +207,6 @@ class DenoisingTask:
 # ------------------------------------------------------------------- private
 
 
-def _is_held_out(still: Cached, share: float) -> bool:
-    """By the scene's name, so that no scene is on both sides, whatever else is in the data."""
-    digest = hashlib.sha256(still.scene.encode()).digest()
-    return int.from_bytes(digest[:4], "big") / 2**32 < share
-
-
-def _spread(held: list[Cached], most: int) -> list[tuple[Example, float]]:
-    """Up to ``most`` held-out levels, evenly over log2(spp), the same each time."""
-    bins: dict[int, list[tuple[Cached, int]]] = {}
-    for still in held:
-        for k, spp in enumerate(still.spp):
-            bins.setdefault(int(np.log2(max(spp, 1))), []).append((still, k))
-    found = []
-    share = max(1, most // max(1, len(bins)))
-    for spp in sorted(bins):
-        entries = bins[spp]
-        for i in np.linspace(0, len(entries) - 1, min(share, len(entries))).round().astype(int):
-            still, k = entries[int(i)]
-            levels, target, deviation = still.load()
-            found.append((Example(levels[k], target, deviation), float(still.spp[k])))
-    return found
-
-
 def _only(example: Example, subset: str) -> Example:
     """An example with the layers of a subset."""
     names = {layer for mask in SUBSETS[subset] for layer in MASKS[mask]}
@@ -250,17 +214,6 @@ def _only(example: Example, subset: str) -> Example:
     kept = {name: layer for name, layer in noisy.layers.items() if name in names}
     spp = noisy.spp if subset == "full" else None
     return replace(example, noisy=replace(noisy, layers=kept, spp=spp))
-
-
-def _errors(x: FloatImage, example: Example) -> tuple[float, float]:
-    """Trimmed relMSE less the target's own noise, and SMAPE, at the target's exposure."""
-    r = example.target
-    size = r.mean(0) ** 2 + 0.01
-    error = ((x - r) ** 2).mean(0) / size
-    keep = error <= np.quantile(error, 1 - TRIMMED)
-    noise = example.deviation[0] ** 2 / size
-    smape = (np.abs(x - r) / (np.abs(x) + np.abs(r) + 0.01)).mean()
-    return float(error[keep].mean() - noise[keep].mean()), float(smape)
 
 
 def _put(found: dict[str, float], subset: str, errors: list[tuple[float, float]]) -> None:

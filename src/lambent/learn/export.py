@@ -26,6 +26,7 @@ from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.loop import Run
+from lambent.learn.task import ShippedTask
 
 
 def export(
@@ -35,28 +36,34 @@ def export(
     examples: Iterable[FloatImage] | None,
     overwrite: bool = False,
     half: bool = False,
+    inputs: Sequence[torch.Tensor] = (torch.zeros(1, CHANNELS, 64, 64),),
 ) -> None:
     """Write ``model`` as a model file; ``half``: its weights in half floats.
 
-    ``examples``: packed inputs ``(CHANNELS, H/2, W/2)`` to find the ranges of activations from;
-    None leaves the network in float. Raises `OutputError`.
+    ``examples``: inputs without batch, ``(CHANNELS, H/2, W/2)`` for our own, to find the ranges of
+    activations from; None leaves the network in float. ``inputs``: a tensor like each input.
+    Raises `OutputError`.
     """
     # NNCF and the converter talk to standard output, which holds results alone
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        network, weights = _converted(model, examples, half)
+        network, weights = _converted(model, examples, half, inputs)
     write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
 
 
 def _converted(
-    model: nn.Module, examples: Iterable[FloatImage] | None, half: bool
+    model: nn.Module,
+    examples: Iterable[FloatImage] | None,
+    half: bool,
+    inputs: Sequence[torch.Tensor],
 ) -> tuple[bytes, bytes]:
     """The network and its weights as OpenVINO writes them."""
     import openvino as ov
 
     model = model.eval().to("cpu")
-    graph = ov.convert_model(model, example_input=torch.zeros(1, CHANNELS, 64, 64))
-    graph.reshape([1, CHANNELS, -1, -1])
+    graph = ov.convert_model(model, example_input=tuple(inputs))
+    free = {i: [1, like.shape[1], -1, -1] for i, like in enumerate(inputs)}
+    graph.reshape(free)
     if examples is not None:
         import nncf
 
@@ -75,7 +82,7 @@ def _converted(
 
 
 def export_run(
-    run: Run, task: Any, path: Path, overwrite: bool = False, int8: bool = False
+    run: Run, task: ShippedTask, path: Path, overwrite: bool = False, int8: bool = False
 ) -> dict[str, Any]:
     """The best weights of a run as a model file, in half floats or int8; its card.
 
@@ -84,6 +91,7 @@ def export_run(
     """
     model = task.network()
     model.load_state_dict(run.weights())
+    ready = task.exportable(model.eval())
     about = json.loads((run.folder / "run.json").read_text(encoding="utf-8"))
     best = min((ln for ln in run.lines() if "check" in ln), key=lambda ln: ln["check"]["score"])
     recipe = run.recipe()
@@ -95,11 +103,14 @@ def export_run(
         "hours": round(about["seconds"] / 3600, 2),
         "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},
         "score": best["check"],
+        "score_says": task.says(best["check"]),
+        "reads": ready.reads,
+        **ready.about,
         "curve": [[ln["step"], ln["check"]["score"]] for ln in run.lines() if "check" in ln],
         "data": task.about_data(),
     }
     examples = task.calibration() if int8 else None
-    export(model, path, card, examples, overwrite, half=not int8)
+    export(ready.network, path, card, examples, overwrite, not int8, ready.examples)
     return card
 
 

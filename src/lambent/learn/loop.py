@@ -1,9 +1,10 @@
 """The one training loop.
 
-Adam with decoupled weight decay (Loshchilov and Hutter 2019), warm-up and a cosine, gradients held
-to a norm, a running mean of the weights (Polyak and Juditsky 1992) that is what gets validated and
-shipped. Batches follow from seed and step (`learn.batches`), the schedule from the step, so a run
-that is stopped and resumed takes the steps that it would have taken.
+Adam with decoupled weight decay (Loshchilov and Hutter 2019) or stochastic gradient descent, as the
+recipe says, warm-up and a cosine, gradients held to a norm, a running mean of the weights (Polyak
+and Juditsky 1992) that is what gets validated and shipped. Batches follow from seed and step
+(`learn.batches`), the schedule from the step, so a run that is stopped and resumed takes the steps
+that it would have taken.
 
 A run is a folder::
 
@@ -142,18 +143,13 @@ def train(
     if start is not None:
         model.load_state_dict(dict(start))
     mean = {name: p.detach().clone() for name, p in model.state_dict().items()}
-    adam = torch.optim.AdamW(
-        [p for p in model.parameters() if p.requires_grad],
-        lr=recipe.rate,
-        weight_decay=WEIGHT_DECAY,
-        betas=(0.9, 0.99),
-    )
+    optimiser = _optimiser(recipe, model)
     step, best, spent = 0, math.inf, 0.0
     if run.state.exists():
         state = _load(run.state)
         model.load_state_dict(state["model"])
         mean = {k: v.to(here.device) for k, v in state["mean"].items()}
-        adam.load_state_dict(state["adam"])
+        optimiser.load_state_dict(state["optimiser"])
         step, best, spent = state["step"], state["best"], state["spent"]
     first = step
     last = min(recipe.steps, steps if steps is not None else recipe.steps)
@@ -165,7 +161,7 @@ def train(
         nonlocal saved
         if here.first:
             state = {
-                "model": model.state_dict(), "mean": mean, "adam": adam.state_dict(),
+                "model": model.state_dict(), "mean": mean, "optimiser": optimiser.state_dict(),
                 "step": step, "best": best, "spent": spent + time.monotonic() - began,
             }  # fmt: skip
             with atomic(run.state, overwrite=True) as handle:
@@ -184,18 +180,18 @@ def train(
                 if log is not None:
                     best = _check(run, task, mean, here.device, step, best, log)
                 break
-            for group in adam.param_groups:
+            for group in optimiser.param_groups:
                 group["lr"] = recipe.rate * schedule(recipe, step, share)
             loss, terms = task.loss(parallel, next(batches), here.device)
-            adam.zero_grad(set_to_none=True)
+            optimiser.zero_grad(set_to_none=True)
             loss.backward()
             norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
             if bool(torch.isfinite(norm)):  # a step from a bad batch would be the last one
-                adam.step()
+                optimiser.step()
             step += 1
             _average(mean, model, min(recipe.decay, (1 + step) / (10 + step)))
             if log is not None:
-                log.add(step, loss.detach(), terms, float(norm), adam.param_groups[0]["lr"])
+                log.add(step, loss.detach(), terms, float(norm), optimiser.param_groups[0]["lr"])
             if progress is not None and here.first:
                 words = f"training {recipe.name}, step {step} of {last}"
                 progress(step - first, last - first, words)
@@ -242,6 +238,15 @@ def use_threads(count: int) -> None:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _optimiser(recipe: TrainRecipe, model: nn.Module) -> torch.optim.Optimizer:
+    """Of the parameters that are free to learn."""
+    free = [p for p in model.parameters() if p.requires_grad]
+    if recipe.optimiser == "adam":
+        return torch.optim.AdamW(free, lr=recipe.rate, weight_decay=WEIGHT_DECAY, betas=(0.9, 0.99))
+    momentum = 0.9 if recipe.optimiser == "momentum" else 0.0
+    return torch.optim.SGD(free, lr=recipe.rate, weight_decay=WEIGHT_DECAY, momentum=momentum)
 
 
 def _process(device: str) -> _Process:

@@ -8,13 +8,13 @@
     data = ["../mitsuba.toml"]
     steps = 20000
 
-Every other key has the default below.
+Every other key has the default below; a table ``[options]`` is handed to the task.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ class TrainRecipe:
     learning rate, reached after ``warmup`` steps, which then falls along a cosine to ``last_rate``
     times it. ``decay``: of the running mean of the weights. ``held_out``: share of the scenes that
     are never trained on. ``check_every``: steps from one validation to the next. ``clip``: largest
-    norm of a gradient. ``size``: of the network.
+    norm of a gradient. ``size``: of the network. ``optimiser``: a name in `OPTIMISERS`.
+    ``options``: what the task itself has to be told, a table ``[options]``.
     """
 
     name: str
@@ -49,11 +50,16 @@ class TrainRecipe:
     held_out: float = 0.05
     check_every: int = 1000
     checked: int = 96
+    optimiser: str = "adam"
+    options: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Every key with its value, as JSON and TOML know them."""
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
+
+#: Adam with decoupled weight decay; stochastic gradient descent with and without momentum.
+OPTIMISERS = ("adam", "momentum", "sgd")
 
 _RANGES: tuple[Range, ...] = (
     ("seed", 0, 2**31 - 1),
@@ -63,7 +69,7 @@ _RANGES: tuple[Range, ...] = (
     ("warmup", 0, 1 << 30),
     ("last_rate", 0, 1),
     ("decay", 0, 0.999999),
-    ("clip", 1e-6, 1e6),
+    ("clip", 1e-6, 1e9),
     ("held_out", 0, 0.9),
     ("check_every", 1, 1 << 30),
     ("checked", 1, 1 << 20),
@@ -89,4 +95,10 @@ def train_recipe_from(settings: dict[str, Any], file: object = None) -> TrainRec
     recipe = record_from(TrainRecipe, settings, _RANGES, file, required=("name",))
     if not recipe.name or any(c in recipe.name for c in "/\\\0") or recipe.name.startswith("."):
         raise OptionError(f"'{recipe.name}' is no name for a run", file=file)
+    if recipe.optimiser not in OPTIMISERS:
+        raise OptionError(
+            f"there is no optimiser '{recipe.optimiser}'",
+            file=file,
+            remedy=f"take one of {', '.join(OPTIMISERS)}",
+        )
     return recipe

@@ -7,7 +7,8 @@ several processes) is the loop's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import torch
@@ -15,6 +16,20 @@ from torch import Tensor, nn
 
 #: Pictures by name, ``(H, W, 3)`` linear radiance, for the report page.
 Pictures = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Exportable:
+    """A network as it goes into a model file.
+
+    ``examples``: one tensor an input, with the channels that it has; height and width are free.
+    ``reads``: a key of `denoise.model_file.READS`. ``about``: more for the card.
+    """
+
+    network: nn.Module
+    examples: tuple[Tensor, ...]
+    reads: str
+    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 class Task(Protocol):
@@ -31,3 +46,19 @@ class Task(Protocol):
 
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
         """Figures of merit on held-out data; the key ``score`` is the one to make small."""
+
+
+class ShippedTask(Task, Protocol):
+    """A task whose network can be written as a model file."""
+
+    def exportable(self, model: nn.Module) -> Exportable:
+        """The trained network as a model file holds it."""
+
+    def says(self, scores: Mapping[str, float]) -> str:
+        """For the card: the score in words."""
+
+    def calibration(self) -> Sequence[Any]:
+        """Inputs to measure the ranges of activations on, for int8; one array each."""
+
+    def about_data(self) -> list[dict[str, Any]]:
+        """For the card: what it was trained on."""

@@ -3,4 +3,14 @@
 from lambent.registry import Registry
 
 #: An entry is a class that a recipe, the cache's folder and a progress function make a `Task` of.
-TASKS = Registry("task", {"denoise": "lambent.learn.denoising:denoising_task"})
+TASKS = Registry(
+    "task",
+    {
+        "denoise": "lambent.learn.denoising:denoising_task",
+        "photo": "lambent.learn.photo:photo_task",
+        "kpcn": "lambent.learn.rendered:rendered_task",
+        "dpcn": "lambent.learn.rendered:rendered_task",
+        "modular": "lambent.learn.rendered:rendered_task",
+        "blocks": "lambent.learn.rendered:rendered_task",
+    },
+)

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from torch import Tensor
+
 from lambent.frame.atomic import check_target
 from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
@@ -31,8 +33,8 @@ def train(
     """Train from a recipe (a TOML file or a `TrainRecipe`), or go on training.
 
     ``run``: folder of the run (None: `run_folder`). ``output``: write the best weights as a model
-    file. ``start``: a model, by name or path, to begin with. ``steps``: stop after so many in all,
-    for now. ``after_check`` is called after each validation. Example::
+    file. ``start``: a model, by name or path, or a run's folder, to begin with. ``steps``: stop
+    after so many in all, for now. ``after_check`` is called after each validation. Example::
 
         run = lambent.train("recipes/train/denoiser.toml", output="mine.lambent")
         run.lines()[-1]
@@ -46,7 +48,9 @@ def train(
     chosen = with_data(chosen, device, progress)
     task = make_task(chosen, cache_folder() / "training", progress)
     folder = Path(run) if run is not None else run_folder(chosen)
-    weights = None if start is None else float_weights(start)
+    weights = None if start is None else _weights(start)
+    if weights is not None and hasattr(task, "started"):
+        weights = task.started(weights)
     done = run_loop(
         chosen, task, folder, device, start=weights, steps=steps,
         progress=progress, after_check=after_check,
@@ -54,6 +58,13 @@ def train(
     if output is not None:
         export_run(done, task, Path(output), overwrite)
     return done
+
+
+def _weights(start: str) -> dict[str, Tensor]:
+    """Of a model by name or path, or of the folder of a run. Raises `FileError`."""
+    if Path(start).is_dir():
+        return Run(Path(start)).weights()
+    return float_weights(start)
 
 
 def run_folder(recipe: TrainRecipe) -> Path:

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from lambent.kernels import pyramid_gradient as gradient
 from lambent.kernels.machine import available
+from lambent.learn.networks.kernels import NEVER, gather, outside
 
 #: Taps of a level's own window (5x5), and of the coarser level's (3x3).
 OWN, COARSE = 25, 9
@@ -35,8 +36,6 @@ OWN, COARSE = 25, 9
 LOGITS = OWN + COARSE + 1
 #: Levels of the pyramid.
 LEVELS = 5
-#: A logit that is never chosen.
-NEVER = -1e4
 
 
 def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
@@ -63,7 +62,7 @@ def _average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool)
         logits = F.pixel_shuffle(logits, 2)
     count = OWN if coarse is None else OWN + COARSE
     weights = _softmax(logits[:, :count])
-    own = _Gather.apply(weights[:, :OWN], image)
+    own = gather(weights[:, :OWN], image)
     return own if coarse is None else own + _GatherUp.apply(weights[:, OWN:], coarse)
 
 
@@ -96,13 +95,13 @@ def _outside(taps: int, height: int, width: int, device: torch.device) -> Tensor
     if key not in _masks:
         if len(_masks) > 64:
             _masks.clear()
-        inside = F.unfold(F.pad(torch.ones(1, 1, height, width), (2, 2, 2, 2)), 5)
-        found = [inside.reshape(1, OWN, height, width)]
+        found = [outside(5, height, width, device)]
         if taps > OWN:
             above = F.unfold(F.pad(torch.ones(1, 1, height // 2, width // 2), (1, 1, 1, 1)), 3)
             above = above.reshape(1, COARSE, height // 2, width // 2)
-            found.append(F.interpolate(above, scale_factor=2, mode="nearest"))
-        _masks[key] = ((1 - torch.cat(found, 1)) * NEVER).to(device)
+            above = F.interpolate(above, scale_factor=2, mode="nearest")
+            found.append(((1 - above) * NEVER).to(device))
+        _masks[key] = torch.cat(found, 1)
     return _masks[key]
 
 
@@ -124,36 +123,6 @@ class _Average(torch.autograd.Function):
         levels = gradient.levels_of(grad.numpy(), masked=False)
         a, b, c = gradient.gradients(numbers, own, above, levels, ctx.needs_input_grad[1])
         return tuple(None if f is None else torch.from_numpy(f) for f in (a[..., :width], b, c))
-
-
-class _Gather(torch.autograd.Function):
-    """Σ_q w(p, q) c(q) over 5x5, tap by tap: an unfolded image would be 25 times as large."""
-
-    @staticmethod
-    def forward(ctx, weights, image):  # type: ignore[no-untyped-def]
-        ctx.save_for_backward(weights, image)
-        padded = F.pad(image, (2, 2, 2, 2))
-        h, w = image.shape[2:]
-        out = torch.zeros_like(image)
-        for k in range(OWN):
-            y, x = divmod(k, 5)
-            out.addcmul_(weights[:, k : k + 1], padded[:, :, y : y + h, x : x + w])
-        return out
-
-    @staticmethod
-    def backward(ctx, grad):  # type: ignore[no-untyped-def]
-        weights, image = ctx.saved_tensors
-        padded = F.pad(image, (2, 2, 2, 2))
-        h, w = image.shape[2:]
-        to_weights = torch.empty_like(weights)
-        to_padded = torch.zeros_like(padded) if ctx.needs_input_grad[1] else None
-        for k in range(OWN):
-            y, x = divmod(k, 5)
-            at = padded[:, :, y : y + h, x : x + w]
-            torch.sum(grad * at, 1, out=to_weights[:, k])
-            if to_padded is not None:
-                to_padded[:, :, y : y + h, x : x + w].addcmul_(weights[:, k : k + 1], grad)
-        return to_weights, None if to_padded is None else to_padded[:, :, 2:-2, 2:-2]
 
 
 class _GatherUp(torch.autograd.Function):

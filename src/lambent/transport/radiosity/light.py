@@ -69,16 +69,41 @@ def direct(scene: Any, probe: Probe, faces: Index, samples: int = 64, seed: int 
     return _means(one, 3, faces, samples, seed)
 
 
-def arriving(scene: Any, at: Any, u: Any, active: Any = True) -> Any:
-    """Irradiance at interactions whose normal is that of the lit side: one sample of it."""
+def arriving(scene: Any, at: Any, u: Any, active: Any = True, beside_ray: bool = False) -> Any:
+    """Irradiance at interactions whose normal is that of the lit side: one sample of it, W/m².
+
+    ``beside_ray``: only the share of it that `met_by_ray` does not give.
+    """
     ds, light = scene.sample_emitter_direction(at, u, True, active)
     cosine = greater(dr.dot(ds.d, mi.Vector3f(at.n)), mi.Float(0))
     value = light * cosine
+    if beside_ray:
+        value *= dr.select(ds.delta, mi.Float(1), _share(ds.pdf, cosine * dr.inv_pi))
     good = (ds.pdf > 0) & dr.isfinite(value.x + value.y + value.z)
     return dr.select(good & active, value, mi.Color3f(0))
 
 
+def met_by_ray(scene: Any, at: Any, met: Any, cosine: Any, active: Any = True) -> Any:
+    """Irradiance at ``at`` by one cosine-weighted ray: its share of what shines where it ended.
+
+    ``met``: the surface interaction there, or none; ``cosine`` of the ray with the normal. Together
+    with `arriving` (``beside_ray``) it is all direct light, weighted by the power heuristic (Veach
+    and Guibas 1995): samples of a wide sky miss the windows of a room, rays miss small lamps.
+    """
+    emitter = met.emitter(scene, active)
+    chance = scene.pdf_emitter_direction(at, mi.DirectionSample3f(scene, met, at), active)
+    value = dr.pi * emitter.eval(met, active) * _share(cosine * dr.inv_pi, chance)
+    good = (cosine > 0) & dr.isfinite(value.x + value.y + value.z)
+    return dr.select(good & active, value, mi.Color3f(0))
+
+
 # ------------------------------------------------------------------- private
+
+
+def _share(mine: Any, other: Any) -> Any:
+    """The weight of a sample of density ``mine`` by the power heuristic."""
+    ratio = other / mine  # squares of both could overflow
+    return dr.select(mine > 0, 1 / (1 + ratio * ratio), mi.Float(0))
 
 
 def _means(one: Any, channels: int, faces: Index, count: int, seed: int) -> Array:

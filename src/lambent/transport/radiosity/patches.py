@@ -176,7 +176,12 @@ def size_for(surfaces: Surfaces, count: int) -> float:
     return best[1]
 
 
-def cluster(cells: Cells, size: float = 0.0, among: int | None = None) -> Patches:
+def cluster(
+    cells: Cells,
+    size: float = 0.0,
+    among: int | None = None,
+    halved: NDArray[np.int8] | None = None,
+) -> Patches:
     """Leaves to patches; leaves well below ``size`` share one with their neighbours.
 
     Neighbours are leaves of the same shape in the same cube of edge ``size`` whose normals go the
@@ -201,7 +206,17 @@ def cluster(cells: Cells, size: float = 0.0, among: int | None = None) -> Patche
         turn = np.rint(normed).astype(np.int64) + 1
         way = (turn[:, 0] * 3 + turn[:, 1]) * 3 + turn[:, 2]
         whole = (cells.surfaces.shape[prim].astype(np.int64) * int(span.prod()) + place) * 27 + way
-        _, first, group = np.unique(whole, return_index=True, return_inverse=True)
+        _, group = np.unique(whole, return_inverse=True)
+        if halved is not None and halved.any():  # the halves of a cube lie in it
+            level = halved[leaves[small]].astype(np.int64)[:, None]
+            deepest = int(level.max())
+            along = np.floor(((p - low) / size - cube) * 0.5**-level).astype(np.int64)
+            along = np.clip(along, 0, (1 << level) - 1)
+            inside = level[:, 0]
+            for axis in along.T:
+                inside = inside << deepest | axis
+            _, group = np.unique(group.ravel() << (3 * deepest + 4) | inside, return_inverse=True)
+        _, first = np.unique(group, return_index=True)
         key[small] = np.flatnonzero(small)[first][group.ravel()]
     _, patch = np.unique(key, return_inverse=True)
     patch = patch.ravel()

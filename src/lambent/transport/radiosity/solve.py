@@ -31,6 +31,8 @@ WATCH_EVERY = 2.0
 MOST = 5e6
 #: How much longer patches are before an adaptive solve cuts them.
 COARSER = 2.5
+#: Points at which direct light is measured on a part of a patch, to see what the patch hides.
+PEEKS = 16
 #: Rounds of refinement; each but the last adds half of what is left.
 ROUNDS = 4
 
@@ -128,8 +130,7 @@ class _Work:
         self.progress(0, 1, "cutting the surfaces")
         size = wish.size if wish.size is not None else size_for(self.surfaces, wish.patches)
         self._check_size(size)
-        # large surfaces begin coarse, and are cut where it pays; small triangles share a patch as
-        # they would without, since what shares is not cut
+        # large surfaces begin coarse, and are cut where it pays
         coarse = size if not wish.adaptive else size * COARSER
         cells = uniform(self.surfaces, coarse)
         if not wish.adaptive:
@@ -138,23 +139,39 @@ class _Work:
         rough = replace(wish, rays=max(32, wish.rays // 4), tolerance=1e-3, solver="cg")
         final = wish
         base = len(cells.child)
+        halved = np.zeros(base, np.int8)
+        # small triangles share a patch as they would without, unless that took most of the patches
+        edge = size
+        while edge < coarse and len(cluster(cells, edge, base)) > wish.patches // 2:
+            edge *= 1.25
         for round_ in range(ROUNDS):
-            patches = cluster(cells, size, base)
+            patches = cluster(cells, edge, base, halved)
             left = wish.patches - len(patches)
             if left <= 0:
                 break
             self.settings = rough
             try:
                 found = self.once(patches, None, f"round {round_ + 1}: ")
+                share = self._shares(patches, found)
             except BaseException as error:
                 if found is None or not by_interrupt(error):
                     raise
                 return replace(found, interrupted=True)  # rough, but whole
-            share = adaptive.shares(patches, found.reflected, found.live.astype(float))
             more = left if round_ == ROUNDS - 1 else left // 2
-            cells = adaptive.refined(patches, share, more)
+            cells, halved = adaptive.refined(patches, share, more, halved)
         self.settings = final
-        return self.once(cluster(cells, size, base), None, "")
+        return self.once(cluster(cells, edge, base, halved), None, "")
+
+    def _shares(self, patches: Patches, found: RadiositySolution) -> Array:
+        """What each patch has of the picture's error ``(n,)``."""
+        variance = np.zeros(len(found.live))
+        if self.settings.direct == "samples":
+            with self.phases("light"):
+                variance = adaptive.hidden(
+                    self.scene, patches, found.live, PEEKS, self.settings.seed
+                )
+            variance *= found.reflectance.mean(axis=1) ** 2
+        return adaptive.shares(patches, found.reflected, found.live.astype(float), variance)
 
     def _check_size(self, size: float) -> None:
         """Refuse patches so small that cutting alone would fill the memory."""

@@ -1,0 +1,321 @@
+"""The networks of the papers at run time: KPCN, DPCN and modular kernel prediction.
+
+How each works is in its file under `lambent.learn.networks`; what they read, and the transforms of
+diffuse and specular light, in `denoise.lobes`. Here: planes of the frame → network
+(`denoise.runtime`) → the predicted means (`kernels.predicted`) → radiance. They run in tiles, whose
+margin the model's card knows.
+
+Other lighting layers get the kernels of the diffuse light (of the whole, where there is one part),
+divided by the albedo and multiplied again; alpha the same without the albedo.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from lambent.denoise import prepare, runtime
+from lambent.denoise.inputs import Signals, signals_of
+from lambent.denoise.lobes import Parts, lobes_of, parts_of, together, whole_of
+from lambent.denoise.model_file import ModelFile, loaded_model
+from lambent.errors import OptionError
+from lambent.filters.denoiser import About, Denoiser
+from lambent.frame.frame import Frame
+from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.role import Role
+from lambent.kernels.predicted import predicted_window, weights_at
+
+_RADIANCE = ("colour_std", "diffuse", "diffuse_std", "specular_std")
+_USES = (
+    "diffuse", "specular", "albedo", "diffuse_albedo", "normal", "depth", "alpha",
+    "diffuse.variance", "specular.variance", "colour.variance",
+    "albedo.variance", "normal.variance", "depth.variance",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Learned(Denoiser):
+    """What the networks of the papers have in common.
+
+    ``weights``: another model file, such as `lambent train` makes. ``threads``: of the network.
+    """
+
+    weights: str | None = None
+    threads: int | None = None
+    _whole: prepare.Whole | None = field(default=None, repr=False, compare=False)
+
+    def margin(self) -> int:
+        """What the model's card says that a result depends on."""
+        return int(self.card()["margin"])
+
+    def fitted(self, frame: Frame) -> Denoiser:
+        """A copy with the exposure and the depth of the whole frame."""
+        return dataclasses.replace(self, _whole=prepare.Whole.of(frame))
+
+    def model(self) -> ModelFile:
+        """The model file. Raises `FileError` and `DamagedFileError`."""
+        return loaded_model(self.weights or self.about.name, "lobes")
+
+    def card(self) -> dict[str, Any]:
+        """The card of the model file."""
+        return dict(self.model().card)
+
+    def bytes_per_pixel(self, channels: int) -> int:
+        """Planes, activations, logits, and the filter's planes."""
+        options = self.card()["options"]
+        logits = 2 * int(options.get("kernel", 2)) ** 2
+        return 4 * (3 * 34 + 4 * int(options.get("width", 32)) + 2 * logits + 6 * channels)
+
+    def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
+        """Filter a stack of channels, in groups of three; the first three may be the beauty."""
+        count = targets.shape[2]
+        edges = [*range(0, count - count % 3, 3), *range(count - count % 3, count + 1)]
+        layers = []
+        for a, b in itertools.pairwise(edges):
+            piece = targets[:, :, a:b]
+            is_beauty = a == 0 and piece.shape[2] == 3 and np.array_equal(piece, frame.colour)
+            role = Role.COLOUR if is_beauty else Role.LIGHTING
+            layers.append(Layer(role, piece))
+        return np.concatenate(self.filter_layers(frame, layers), axis=2)
+
+    # --------------------------------------------------------------- private
+
+    def _signals(self, frame: Frame) -> tuple[Signals, float]:
+        """The frame's signals with lobes, at a fixed exposure; and that exposure."""
+        whole = self._whole or prepare.Whole.of(frame)
+        signals = signals_of(frame, whole.depth)
+        factor = np.float32(whole.exposure)
+        layers = {
+            name: layer * factor if name in _RADIANCE else layer
+            for name, layer in {**signals.layers, **lobes_of(frame)}.items()
+        }
+        return replace(signals, colour=signals.colour * factor, layers=layers), float(factor)
+
+    def _outputs(self, *planes: FloatImage) -> list[FloatImage]:
+        with runtime.network(self.model(), "f32", self.threads) as network:
+            ready = [np.ascontiguousarray(p[None], np.float32) for p in planes]
+            return [out[0].copy() for out in network.outputs(*ready)]
+
+
+@dataclass(frozen=True)
+class KPCN(_Learned):
+    """Kernel-predicting network. ``part``: whose kernels `lambent explain` shows."""
+
+    about: ClassVar[About] = About(
+        name="kpcn",
+        title="Kernel-predicting convolutional network, lean",
+        paper="Bako et al. 2017",
+        uses=_USES,
+        cost="two stacks of nine convolutions, and a window each",
+        when="to see what learned kernels do; diffuse and specular light apart",
+        linear=False,
+    )
+
+    part: Literal["diffuse", "specular"] = "diffuse"
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """The beauty from both parts; diffuse and specular by themselves; the rest as diffuse."""
+        signals, factor = self._signals(frame)
+        parts = parts_of(np, signals)
+        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
+        diffuse, specular = self._parts(predicted, parts)
+        found = []
+        for layer in layers:
+            if layer.role is Role.COLOUR:
+                image: FloatImage = together(np, diffuse, specular, parts.albedo) / factor
+                found.append(_image(image, layer))
+            elif layer.role is Role.DIFFUSE:
+                found.append(_image(diffuse * parts.albedo / factor, layer))
+            elif layer.role is Role.SPECULAR:
+                found.append(_image(np.float32(1 / factor) * np.expm1(specular), layer))
+            else:
+                found.append(self._other(predicted, parts, layer))
+        return found
+
+    def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
+        """The weights ``(H, W)`` of the chosen part's kernel at pixel (x, y)."""
+        parts = parts_of(np, self._signals(frame)[0])
+        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
+        return weights_at(predicted[0 if self.part == "diffuse" else 1], x, y)
+
+    # --------------------------------------------------------------- private
+
+    def _parts(self, predicted: list[FloatImage], parts: Parts) -> tuple[FloatImage, FloatImage]:
+        """ĉ of both parts ``(3, H, W)``."""
+        both = [
+            predicted_window(image.transpose(1, 2, 0), logits).transpose(2, 0, 1)
+            for image, logits in zip((parts.diffuse, parts.specular), predicted, strict=True)
+        ]
+        return both[0], both[1]
+
+    def _other(self, predicted: list[FloatImage], parts: Parts, layer: Layer) -> FloatImage:
+        albedo = _albedo_for(parts.albedo, layer)
+        return predicted_window(layer.data / albedo, predicted[0]) * albedo
+
+
+@dataclass(frozen=True)
+class DPCN(KPCN):
+    """Direct-predicting network."""
+
+    about: ClassVar[About] = dataclasses.replace(
+        KPCN.about,
+        name="dpcn",
+        title="Direct-predicting convolutional network, the twin of kpcn",
+        cost="two stacks of nine convolutions",
+        when="to compare with kpcn: the same networks, giving colours instead of kernels",
+    )
+    weights_at = None  # type: ignore[assignment]  # it has no weights to show
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """As KPCN. Raises `OptionError` for layers that it cannot know: it has no kernels."""
+        for layer in layers:
+            if layer.role not in (Role.COLOUR, Role.DIFFUSE, Role.SPECULAR):
+                raise OptionError(
+                    f"'{self.about.name}' cleans colour, diffuse and specular, not '{layer.name}'",
+                    remedy="add --passes beauty, or take another model",
+                )
+        return super().filter_layers(frame, layers)
+
+    def _parts(self, predicted: list[FloatImage], parts: Parts) -> tuple[FloatImage, FloatImage]:
+        return np.expm1(predicted[0]), predicted[1]
+
+
+@dataclass(frozen=True)
+class Modular(_Learned):
+    """Modular kernel prediction.
+
+    ``preference``: 0 for the least error, towards 1 for rather leaving noise than losing detail.
+    """
+
+    about: ClassVar[About] = About(
+        name="modular",
+        title="Modular kernel prediction, still frames, lean",
+        paper="Vogels et al. 2018",
+        uses=_USES[2:],
+        cost="residual blocks at three scales, windows of 7x7",
+        when="to see the asymmetric loss at work: its preference trades noise for bias",
+    )
+
+    preference: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.preference <= 1:
+            raise OptionError(
+                f"'preference' of '{self.about.name}' cannot be {self.preference:g}",
+                remedy="0 for the least error, up to 1 for keeping what might be detail",
+            )
+
+    def at_strength(self, strength: float) -> tuple[Denoiser, float]:
+        """From 1 to 1/2 the preference rises to 1; below, the result is blended with the input."""
+        if self.preference:
+            return self, strength
+        preference = min(1.0, 2 * (1 - strength))
+        return dataclasses.replace(self, preference=preference), min(1.0, 2 * strength)
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """Every layer with the same kernels on all scales."""
+        whole, logits = self._predicted(frame)
+        height, width = frame.height, frame.width
+        # channels of all layers together: the weights are made once
+        albedos = [_albedo_for(whole.albedo, layer) for layer in layers]
+        ratios = [layer.data / albedo for layer, albedo in zip(layers, albedos, strict=True)]
+        stack = np.concatenate(ratios, axis=2).transpose(2, 0, 1)
+        out = _pyramid(_continued(stack, self._multiple()), logits)[:, :height, :width]
+        ends = np.cumsum([r.shape[2] for r in ratios])[:-1]
+        pieces = np.split(out.transpose(1, 2, 0), ends, axis=2)
+        return [piece * albedo for piece, albedo in zip(pieces, albedos, strict=True)]
+
+    def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
+        """The weights ``(H, W)`` of pixel (x, y), all scales put together.
+
+        With the mean albedo: a pixel's weight is that of its light, times a_p / a_q.
+        """
+        whole, logits = self._predicted(frame)
+        found = _row(logits, x, y)[: frame.height, : frame.width]
+        albedo = whole.albedo.mean(0)
+        return np.asarray(found * albedo[y, x] / albedo, np.float32)
+
+    # --------------------------------------------------------------- private
+
+    def _predicted(self, frame: Frame) -> tuple[Parts, list[FloatImage]]:
+        """The frame as one part, and the logits of every scale."""
+        whole = whole_of(np, self._signals(frame)[0])
+        preference = np.full((1, frame.height, frame.width), self.preference, np.float32)
+        planes = np.concatenate([whole.diffuse_planes, preference])
+        return whole, self._outputs(_continued(planes, self._multiple()))
+
+    def _multiple(self) -> int:
+        return int(2 ** (int(self.card()["options"]["scales"]) - 1))
+
+
+# ------------------------------------------------------------------- private
+
+
+def _pyramid(image: FloatImage, logits: Sequence[FloatImage]) -> FloatImage:
+    """`networks.modular`, equation (1), for an image ``(C, H, W)``."""
+    taps = len(logits[-1])
+    images = [image]
+    for _ in logits[1:]:
+        images.append(_halved(images[-1]))
+    out: FloatImage | None = None
+    for own, level in zip(reversed(logits), reversed(images), strict=True):
+        mean = predicted_window(level.transpose(1, 2, 0), own[:taps]).transpose(2, 0, 1)
+        if out is not None:
+            alpha = 1 / (1 + np.exp(-own[taps:]))
+            mean = mean + alpha * (out - _halved(mean)).repeat(2, axis=1).repeat(2, axis=2)
+        out = mean
+    assert out is not None
+    return out
+
+
+def _row(logits: Sequence[FloatImage], x: int, y: int) -> FloatImage:
+    """The weights ``(H, W)`` by which `_pyramid` makes the pixel (x, y)."""
+    own, coarser = logits[0], logits[1:]
+    if not coarser:
+        return weights_at(own, x, y)
+    taps = len(logits[-1])
+    kernels, alpha = own[:taps], 1 / (1 + np.exp(-own[taps, y, x]))
+    found = weights_at(kernels, x, y)
+    left, top = x - x % 2, y - y % 2
+    for j in (top, top + 1):
+        for i in (left, left + 1):
+            found = found - alpha / 4 * weights_at(kernels, i, j)
+    below = _row(coarser, x // 2, y // 2) / 4
+    found = found + alpha * below.repeat(2, axis=0).repeat(2, axis=1)
+    return np.asarray(found, np.float32)
+
+
+def _halved(image: FloatImage) -> FloatImage:
+    """Means of 2x2 pixels of ``(C, H, W)``."""
+    count, height, width = image.shape
+    return image.reshape(count, height // 2, 2, width // 2, 2).mean(axis=(2, 4), dtype=np.float32)
+
+
+def _continued(planes: FloatImage, multiple: int) -> FloatImage:
+    """Repeated at the right and lower border until the sides are multiples of a number."""
+    more = [-n % multiple for n in planes.shape[1:]]
+    return np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "edge") if any(more) else planes
+
+
+def _albedo_for(albedo: FloatImage, layer: Layer) -> FloatImage:
+    """``(H, W, C)``: what a layer is divided by, 1 for alpha."""
+    if layer.role is Role.ALPHA:
+        return np.ones_like(layer.data)
+    image = albedo.transpose(1, 2, 0)
+    channels = layer.data.shape[2]
+    if channels != 3:
+        image = np.repeat(image.mean(axis=2, keepdims=True), channels, axis=2)
+    return np.ascontiguousarray(image)
+
+
+def _image(planes: FloatImage, layer: Layer) -> FloatImage:
+    """``(3, H, W)`` as ``(H, W, C)`` with as many channels as the layer has."""
+    image = planes.transpose(1, 2, 0)
+    if layer.data.shape[2] == 1:
+        image = image.mean(axis=2, keepdims=True)
+    return np.ascontiguousarray(image, np.float32)

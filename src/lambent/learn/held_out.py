@@ -1,0 +1,82 @@
+"""Data that a network never learns from, and how it is judged on them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from lambent.dataset.reader import open_dataset
+from lambent.errors import OptionError
+from lambent.frame.layer import FloatImage
+from lambent.learn.augment import Example
+from lambent.learn.cache import Cached
+
+#: Share of the pixels, those with the largest error, that the trimmed error leaves out.
+TRIMMED = 1e-3
+
+
+def parted(stills: Sequence[Cached], share: float) -> tuple[list[Cached], list[Cached]]:
+    """Those to learn from, and those held out. Raises `OptionError` for too few scenes."""
+    held = [s for s in stills if is_held_out(s, share)]
+    kept = [s for s in stills if not is_held_out(s, share)]
+    if not kept or (share and not held):
+        raise OptionError(
+            f"{len(stills)} stills are too few to hold some scenes out",
+            remedy="make more data, or set held_out = 0",
+        )
+    return kept, held
+
+
+def is_held_out(still: Cached, share: float) -> bool:
+    """By the scene's name, so that no scene is on both sides, whatever else is in the data."""
+    digest = hashlib.sha256(still.scene.encode()).digest()
+    return int.from_bytes(digest[:4], "big") / 2**32 < share
+
+
+def spread(held: Sequence[Cached], most: int, lobes: bool = False) -> list[tuple[Example, float]]:
+    """Up to ``most`` held-out levels, evenly over log2(spp), the same each time."""
+    bins: dict[int, list[tuple[Cached, int]]] = {}
+    for still in held:
+        for k, spp in enumerate(still.spp):
+            bins.setdefault(int(np.log2(max(spp, 1))), []).append((still, k))
+    found = []
+    share = max(1, most // max(1, len(bins)))
+    for spp in sorted(bins):
+        entries = bins[spp]
+        for i in np.linspace(0, len(entries) - 1, min(share, len(entries))).round().astype(int):
+            still, k = entries[int(i)]
+            levels, target, deviation = still.load(lobes)
+            found.append((Example(levels[k], target, deviation), float(still.spp[k])))
+    return found
+
+
+def errors_of(x: FloatImage, example: Example) -> tuple[float, float]:
+    """Trimmed relMSE less the target's own noise, and SMAPE, at the target's exposure."""
+    r = example.target[:3]
+    size = r.mean(0) ** 2 + 0.01
+    error = ((x - r) ** 2).mean(0) / size
+    keep = error <= np.quantile(error, 1 - TRIMMED)
+    noise = example.deviation[0] ** 2 / size
+    smape = (np.abs(x - r) / (np.abs(x) + np.abs(r) + 0.01)).mean()
+    return float(error[keep].mean() - noise[keep].mean()), float(smape)
+
+
+def about_sets(folders: Iterable[str]) -> list[dict[str, Any]]:
+    """For a card: what each data set is, how much of it there is, made of what."""
+    found = []
+    for folder in folders:
+        data = open_dataset(folder)
+        found.append(
+            {
+                "name": data.recipe.name,
+                "crops": len(data.crops),
+                "clips": len(data.clips),
+                "scenes": len({data.line(i).get("seed") for i in range(len(data))}),
+                "licences": data.manifest.get("licences", {}),
+                "essence": data.recipe.essence,
+            }
+        )
+    return found
