@@ -7,7 +7,7 @@ import pytest
 
 from lambent.errors import OptionError, OutputError
 from lambent.filters.denoiser import create
-from lambent.filters.explain import explain, heat
+from lambent.filters.explain import CLASSICAL, classical_for, explain, heat, side_by_side
 from lambent.frame.frame import Frame
 
 MODELS = (
@@ -114,3 +114,22 @@ def test_what_cannot_be_explained():
         explain(frame(), "box", 60, 0)
     with pytest.raises(OptionError, match="no weighted mean"):
         explain(frame(), "oidn", 0, 0)
+
+
+def test_models_stand_side_by_side():
+    f = frame()
+    found = [explain(f, name, 5, 6) for name in ("gaussian", "cross-bilateral")]
+    picture = side_by_side(found, half=7)
+    zoom = 260 // 15
+    assert picture.shape == (15 * zoom + 40, 3 * 15 * zoom + 2 * 8, 3)
+    # what lies outside the frame is black, the pixel itself is bright, and marked
+    assert picture[2, 2].tolist() == [0, 0, 0]
+    middle = 7 * zoom + zoom // 2
+    assert picture[middle, middle].min() > 100
+    assert picture[7 * zoom, middle].tolist() == [0, 255, 128]
+
+
+def test_only_filters_that_can_work_stand_beside():
+    assert classical_for(frame()) == list(CLASSICAL)
+    bare = Frame.from_arrays(colour=frame().colour)
+    assert classical_for(bare) == ["gaussian", "nlm"]

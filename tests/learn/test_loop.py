@@ -48,6 +48,18 @@ def test_a_resumed_run_is_an_uninterrupted_one(task, tmp_path):
     assert checks[0] == checks[1]
 
 
+@pytest.mark.parametrize("optimiser", ["momentum", "sgd"])
+def test_descent_without_adam_resumes_too(optimiser, task, tmp_path):
+    recipe = replace(RECIPE, optimiser=optimiser, rate=0.1)
+    whole = train(recipe, task, tmp_path / "whole", "cpu")
+    for steps in (3, 6):
+        pieces = train(recipe, task, tmp_path / "pieces", "cpu", steps=steps)
+    assert same(whole.weights(), pieces.weights())
+    torch.manual_seed(recipe.seed)
+    fresh = task.network().state_dict()
+    assert not same(whole.weights(), fresh)
+
+
 def test_two_processes_are_one(tmp_path):
     data = tmp_path / "data"
     data.mkdir()

@@ -68,6 +68,15 @@ def test_dncnn_is_the_paper_s():
     assert depends_on(grey, torch.rand(1, 1, 61, 61), 30) == (30 - 17, 30 + 17)
 
 
+def test_the_cost_of_a_network_is_counted():
+    from lambent.learn.export import cost_of
+    from lambent.learn.task import Exportable
+
+    grey = dncnn.DnCNN(1, 17)
+    found = cost_of(Exportable(grey, (torch.zeros(1, 1, 16, 16),), "pixels"))
+    assert found == {"parameters": 556_097, "macs": 2 * 9 * 64 + 15 * 9 * 64 * 64}
+
+
 def test_kpcn_is_the_paper_s():
     full = kpcn.KPCN()
     hidden = 25 * lobes.PLANES * 100 + 100 + 7 * (25 * 100 * 100 + 100)

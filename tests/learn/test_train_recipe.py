@@ -22,7 +22,16 @@ def test_an_unknown_key_names_the_nearest(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "line", ["steps = 0", 'steps = "many"', "rate = -1", "held_out = 2", 'data = "one"']
+    "line",
+    [
+        "steps = 0",
+        'steps = "many"',
+        "rate = -1",
+        "held_out = 2",
+        'data = "one"',
+        'optimiser = "adagrad"',
+        "options = 3",
+    ],
 )
 def test_senseless_values_are_refused(tmp_path, line):
     with pytest.raises(OptionError):
@@ -44,6 +53,13 @@ def test_missing_and_broken_files(tmp_path):
 def test_folders_count_from_the_recipe(tmp_path):
     recipe = load_train_recipe(written(tmp_path, 'name = "x"\ndata = ["sets/a"]\n'))
     assert recipe.data == (str(tmp_path / "sets" / "a"),)
+
+
+def test_options_are_the_task_s(tmp_path):
+    text = 'name = "x"\noptimiser = "sgd"\n[options]\nwidth = 4\n'
+    recipe = load_train_recipe(written(tmp_path, text))
+    assert recipe.options == {"width": 4}
+    assert recipe.optimiser == "sgd"
 
 
 @pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda p: p.stem)

@@ -329,6 +329,22 @@ def test_explain_prints_and_draws(noisy, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
     text = run(capsys, "explain", noisy, "--pixel", "20,30", "--model", "box")
     assert "sum of weights" in text
+    assert "beside it" not in text
+
+
+def test_explain_sets_a_learned_kernel_beside_classical_ones(noisy, capsys):
+    picture = noisy.with_name("beside.png")
+    found = run_json(capsys, "explain", noisy, "--pixel", "20,30", "--model", "kpcn", "-o", picture)
+    assert found["sum"] == pytest.approx(1, abs=1e-4)
+    names = [one["model"] for one in found["beside"]]
+    assert names == ["gaussian", "cross-bilateral", "nlm", "joint-nlm"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    text = run(capsys, "explain", noisy, "--pixel", "20,30", "--model", "kpcn", "--beside", "box")
+    assert "beside it:\n  box" in text
+    found = run_json(
+        capsys, "explain", noisy, "--pixel", "20,30", "--model", "kpcn", "--beside", "none"
+    )
+    assert "beside" not in found
 
 
 @pytest.mark.parametrize("pixel", ["20", "a,b", "900,1", "-1,3"])

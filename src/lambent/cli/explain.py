@@ -1,7 +1,8 @@
 """Show the weights with which a filter averages around one pixel.
 
 Prints the sum of the weights, the variance that is left (the sum of their squares), how many
-pixels the average is worth, and the bias it risks; with -o also a picture of the weights.
+pixels the average is worth, and the bias it risks; with -o also a picture of the weights. A
+learned model's stand beside those of classical filters.
 """
 
 from __future__ import annotations
@@ -35,6 +36,15 @@ def explain(
     ],
     model: ModelOption = "cross-bilateral",
     setting: SetOption = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            "--beside",
+            metavar="MODELS",
+            help="Other models to show beside it, with commas; 'none' for none. A learned model "
+            "stands beside classical filters unless told otherwise.",
+        ),
+    ] = None,
     mapping: MapOption = None,
     output: Annotated[
         Path | None,
@@ -52,12 +62,18 @@ def explain(
     """Typer's view of the command; the module docstring is its help."""
     from lambent.errors import OutputError
     from lambent.filters.denoiser import create
+    from lambent.filters.explain import classical_for, side_by_side
     from lambent.filters.explain import explain as find_weights
     from lambent.frame.files import read
     from lambent.frame.repair import repair
 
     x, y = _pixel(pixel)
     denoiser = create(model, **pairs("--set", setting))  # a wrong option before a missing file
+    others = [
+        name.strip() for name in (beside or "").split(",") if name.strip() not in ("", "none")
+    ]
+    for name in others:
+        create(name)
     if output is not None and output.exists() and not overwrite:
         raise OutputError(
             "this file exists already", file=output, remedy="allow replacing it with --overwrite"
@@ -68,15 +84,27 @@ def explain(
         truth = None if reference is None else read(reference).colour
         progress.report(0, 1, f"weights of {model}")
         found = find_weights(noisy, denoiser, x, y, reference=truth)
+        if beside is None and denoiser.card():
+            others = classical_for(noisy)
+        there = []
+        for number, name in enumerate(others):
+            progress.report(1 + number, 1 + len(others), f"weights of {name}")
+            there.append(find_weights(noisy, name, x, y, reference=truth))
         if output is not None:
             from lambent.frame.atomic import atomic
+            from lambent.frame.tonemap import png_of
 
+            picture = png_of(side_by_side([found, *there])) if there else found.png()
             with atomic(output, overwrite) as file:
-                file.write(found.png())
+                file.write(picture)
     if as_json:
-        print_json({**found.as_dict(), "picture": None if output is None else str(output)})
+        more = {"beside": [one.as_dict() for one in there]} if there else {}
+        shown = None if output is None else str(output)
+        print_json({**found.as_dict(), **more, "picture": shown})
     else:
         _print(found)
+        if there:
+            _print_beside(there)
         if output is not None:
             print(f"\n{output}")
 
@@ -122,6 +150,16 @@ def _print(found: Explanation) -> None:
     left = max(len(value) for _, value, _ in rows) + 2
     for label, value, note in rows:
         print(f"  {label:<16}{value:<{left}}{note}")
+
+
+def _print_beside(there: list[Explanation]) -> None:
+    """A line for each of the others."""
+    left = max(len(one.model) for one in there) + 2
+    print("\nbeside it:")
+    for one in there:
+        worth = f"worth {one.effective_pixels:.1f} pixels"
+        bias = ", ".join(f"{value:+.3g}" for value in one.bias)
+        print(f"  {one.model:<{left}}{worth:<22}bias at risk {bias}")
 
 
 def _measured_on(found: Explanation) -> str:

@@ -17,7 +17,7 @@ Weights may be negative (first-order regression).
 
 from __future__ import annotations
 
-import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import OptionError, OutputError
+from lambent.errors import LayerError, OptionError, OutputError
 from lambent.filters.denoiser import DENOISERS, Denoiser, create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import auto_exposure, png_of, to_uint8
 
 #: Delta images that are filtered together.
 _CHUNK = 512
@@ -130,11 +130,7 @@ class Explanation:
 
     def png(self) -> bytes:
         """The picture as the bytes of a PNG."""
-        from PIL import Image
-
-        buffer = io.BytesIO()
-        Image.fromarray(self.picture()).save(buffer, "PNG")
-        return buffer.getvalue()
+        return png_of(self.picture())
 
     def save(self, path: str | Path) -> Path:
         """Write the picture as a PNG. Raises `OutputError`."""
@@ -216,6 +212,51 @@ def explain(
     )
 
 
+#: Classical filters whose weights stand beside those of a learned one, from the plainest on.
+CLASSICAL = ("gaussian", "cross-bilateral", "nlm", "joint-nlm")
+
+
+def classical_for(frame: Frame) -> list[str]:
+    """Those of `CLASSICAL` that find in the frame what they need."""
+    found = []
+    for name in CLASSICAL:
+        try:
+            create(name).check(frame)
+        except LayerError:
+            continue
+        found.append(name)
+    return found
+
+
+def side_by_side(explanations: Sequence[Explanation], half: int = 12) -> NDArray[np.uint8]:
+    """The weights of several models at one pixel as one picture ``(h, w, 3)``, named.
+
+    Each panel shows the weights of the ``2·half + 1`` pixels a side around the pixel, brightest
+    where that model's own greatest weight is; the last panel is the frame there.
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    side, zoom, caption, gap = 2 * half + 1, max(2, 260 // (2 * half + 1)), 40, 8
+    panels = []
+    for found in explanations:
+        panels.append((found.model, _window(found, heat(found.weights), half)))
+    widest = max(explanations, key=lambda found: found.crop.size)
+    shown = to_uint8(widest.crop, widest.exposure)
+    panels.append(("the frame", _window(widest, shown, half)))
+    size = side * zoom
+    paper = Image.new("RGB", (len(panels) * (size + gap) - gap, size + caption), _PAPER)
+    pen, font = ImageDraw.Draw(paper), ImageFont.load_default(_LETTERS)
+    for number, (name, window) in enumerate(panels):
+        large = np.repeat(np.repeat(window, zoom, axis=0), zoom, axis=1)
+        left = number * (size + gap)
+        paper.paste(Image.fromarray(_marked(large, half, half, zoom)), (left, 0))
+        pen.text((left + 4, size + 4), name, _INK, font)
+        if number < len(explanations):
+            worth = f"worth {explanations[number].effective_pixels:.1f} pixels"
+            pen.text((left + 4, size + 20), worth, (150, 150, 150), font)
+    return np.asarray(paper)
+
+
 def heat(weights: NDArray[Any], most: float | None = None) -> NDArray[np.uint8]:
     """Weights ``(h, w)`` as colours ``(h, w, 3)``: see `Explanation.picture`.
 
@@ -231,6 +272,13 @@ def heat(weights: NDArray[Any], most: float | None = None) -> NDArray[np.uint8]:
 
 
 # ------------------------------------------------------------------ private
+
+
+def _window(found: Explanation, image: NDArray[np.uint8], half: int) -> NDArray[np.uint8]:
+    """The pixels of ``image``, which covers what the explanation covers, around its pixel."""
+    x, y = found.pixel[0] - found.origin[0], found.pixel[1] - found.origin[1]
+    grown = np.pad(image, ((half, half), (half, half), (0, 0)))
+    return grown[y : y + 2 * half + 1, x : x + 2 * half + 1]
 
 
 def _box(frame: Frame, x0: int, y0: int, x1: int, y1: int, margin: int) -> tuple[int, ...]:

@@ -68,11 +68,16 @@ def to_uint8(image: NDArray[Any], exposure: float | None = None) -> NDArray[np.u
 
 def to_png(image: NDArray[Any], exposure: float | None = None) -> bytes:
     """Radiance ``(H, W, 3)`` to the bytes of a PNG."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
     pixels = to_uint8(image, exposure)
     if pixels.shape[2] == 1:
         pixels = np.repeat(pixels, 3, axis=2)
-    Image.fromarray(pixels[:, :, :3]).save(buffer, "PNG")
+    return png_of(pixels[:, :, :3])
+
+
+def png_of(pixels: NDArray[np.uint8]) -> bytes:
+    """Display values ``(H, W, 3)`` to the bytes of a PNG."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG")
     return buffer.getvalue()

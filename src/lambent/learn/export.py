@@ -26,7 +26,7 @@ from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.loop import Run
-from lambent.learn.task import ShippedTask
+from lambent.learn.task import Exportable, ShippedTask
 
 
 def export(
@@ -105,6 +105,7 @@ def export_run(
         "score": best["check"],
         "score_says": task.says(best["check"]),
         "reads": ready.reads,
+        **cost_of(ready),
         **ready.about,
         "curve": [[ln["step"], ln["check"]["score"]] for ln in run.lines() if "check" in ln],
         "data": task.about_data(),
@@ -112,6 +113,34 @@ def export_run(
     examples = task.calibration() if int8 else None
     export(ready.network, path, card, examples, overwrite, not int8, ready.examples)
     return card
+
+
+def cost_of(ready: Exportable) -> dict[str, int]:
+    """``parameters`` of a network, and its multiply-adds a pixel of the picture (``macs``).
+
+    Of convolutions; what an attention or a predicted window multiplies is not counted.
+    """
+    macs = 0
+
+    def count(module: nn.Module, _: Any, output: Any) -> None:
+        nonlocal macs
+        assert isinstance(module, nn.Conv2d)
+        macs += output.numel() // module.out_channels * module.weight.numel()
+
+    hooks = [
+        module.register_forward_hook(count)
+        for module in ready.network.modules()
+        if isinstance(module, nn.Conv2d)
+    ]
+    with torch.no_grad():
+        ready.network(*ready.examples)
+    for hook in hooks:
+        hook.remove()
+    height, width = ready.examples[0].shape[2:]
+    # packed signals have a quarter of the picture's pixels
+    pixels = height * width * (4 if ready.reads == "signals" else 1)
+    weights = sum(p.numel() for p in ready.network.parameters())
+    return {"parameters": weights, "macs": round(macs / pixels)}
 
 
 def float_weights(model: str) -> dict[str, torch.Tensor]:

