@@ -37,7 +37,7 @@ Row = dict[str, Any]
 RATES = {"adam": (1e-3, 3e-3), "momentum": (1e-2, 1e-1), "sgd": (3e-2, 3e-1)}
 #: The same for `dncnn`, whose loss is a sum over a patch; gradients are held to norm 1, as the
 #: authors' code holds them to some norm.
-SUM_RATES = {"adam": (1e-3,), "momentum": (3e-3, 3e-2)}
+SUM_RATES = {"adam": (1e-3,), "momentum": (3e-3, 3e-2, 3e-1)}
 #: Groups of runs, each with the key that changes and its values; the first of each is the base.
 BLOCKS: dict[str, list[tuple[str, Row]]] = {
     "activation": [
@@ -173,22 +173,22 @@ def table(rows: list[Row], what: str) -> str:
 
 
 def plot(rows: list[Row], what: str) -> str:
-    """The curves as SVG, one colour a group; PSNR goes up, a score down."""
-    width, height, left, right, top, bottom = 860, 420, 56, 210, 16, 34
-    points = [p for row in rows for p in row["curve"][1 if what == "dncnn" else 0 :]]
-    x1 = max(x for x, _ in points)
-    ys = sorted(y for _, y in points)
-    # the worst twentieth may leave the picture, or the others could not be told apart
-    y0 = ys[len(ys) // 20] if what == "dncnn" else ys[0]
-    y1 = ys[-1] if what == "dncnn" else ys[-1 - len(ys) // 20]
+    """The curves as SVG, one colour a group: PSNR goes up, a score, logarithmic, down."""
+    width, height, left, right, top, bottom = 860, 430, 56, 210, 16, 34
+    rows = [row for row in rows if row["curve"]]
+    rises = what == "dncnn"
+    scale = (lambda v: v) if rises else math.log10
+    ys = sorted(scale(y) for row in rows for _, y in row["curve"])
+    x1 = max(x for row in rows for x, _ in row["curve"])
+    # the worst tenth may leave the picture, or the others could not be told apart
+    y0, y1 = (ys[len(ys) // 10], ys[-1]) if rises else (ys[0], ys[-1 - len(ys) // 10])
     colours = ["#0b6e99", "#c2410c", "#15803d", "#7e22ce", "#a16207", "#be123c"]
     groups = list(dict.fromkeys(row["group"] for row in rows))
 
     def at(x: float, y: float) -> tuple[float, float]:
-        share = (y - y0) / (y1 - y0)
-        return left + x / x1 * (width - left - right), height - bottom - share * (
-            height - bottom - top
-        )
+        share = min(max((scale(y) - y0) / (y1 - y0), 0), 1)
+        across = left + x / x1 * (width - left - right)
+        return across, height - bottom - share * (height - bottom - top)
 
     marks = [
         "<style>text{font:12px system-ui,sans-serif;fill:#333}polyline{fill:none;stroke-width:1.7}"
@@ -197,23 +197,27 @@ def plot(rows: list[Row], what: str) -> str:
     ]
     for k in range(6):
         y = y0 + (y1 - y0) * k / 5
-        _, v = at(0, y)
+        value = y if rises else 10**y
+        _, v = at(0, value)
         marks.append(f'<line x1="{left}" x2="{width - right}" y1="{v:.1f}" y2="{v:.1f}"/>')
-        marks.append(f'<text x="{left - 6}" y="{v + 4:.1f}" text-anchor="end">{y:.3g}</text>')
-    word = "PSNR in dB" if what == "dncnn" else "error over OIDN High's"
-    marks.append(f'<text x="{left}" y="{height - 10}">{word} over steps (to {x1:g})</text>')
+        marks.append(f'<text x="{left - 6}" y="{v + 4:.1f}" text-anchor="end">{value:.3g}</text>')
+    word = "PSNR in dB" if rises else "error over OIDN High's, logarithmic"
+    marks.append(f'<text x="{left}" y="{height - 10}">{word}, over steps (to {x1:g})</text>')
     ends = []
     for row in rows:
-        if not row["curve"]:
-            continue
         colour = colours[groups.index(row["group"]) % len(colours)]
-        inside = [(x, min(max(y, y0), y1)) for x, y in row["curve"]]
-        line = " ".join(f"{a:.1f},{b:.1f}" for a, b in (at(x, y) for x, y in inside))
+        there = [at(x, y) for x, y in row["curve"]]
+        line = " ".join(f"{a:.1f},{b:.1f}" for a, b in there)
         marks.append(f'<polyline points="{line}" stroke="{colour}"/>')
-        ends.append((at(*inside[-1])[1], row["label"], colour))
-    place = -1e9
-    for y, label, colour in sorted(ends):
-        place = max(y, place + 14)
+        ends.append((there[-1][1], row["label"], colour))
+    ends.sort()
+    places = [end[0] for end in ends]
+    for k in range(1, len(places)):  # names do not lie on one another
+        places[k] = max(places[k], places[k - 1] + 14)
+    places[-1] = min(places[-1], height - bottom)
+    for k in range(len(places) - 2, -1, -1):  # nor below the picture
+        places[k] = min(places[k], places[k + 1] - 14)
+    for place, (_, label, colour) in zip(places, ends, strict=True):
         x, y = width - right + 8, place + 4
         marks.append(f'<text x="{x}" y="{y:.1f}" style="fill:{colour}">{label}</text>')
     return (

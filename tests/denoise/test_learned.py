@@ -211,3 +211,16 @@ def test_another_version_is_refused(tmp_path):
     )
     with pytest.raises(FileError, match="another version"):
         model_file.read_model(path)
+
+
+def test_its_weights_can_be_explained():
+    from lambent.filters.explain import explain
+
+    made = frame(grey=True)
+    model = Lambent().fitted(made)
+    found = explain(made, model, 70, 40)
+    cleaned = model(made, "beauty").colour[40, 70]
+    left, top = found.origin
+    height, width = found.weights.shape
+    seen = made.colour[top : top + height, left : left + width]
+    np.testing.assert_allclose((found.weights[..., None] * seen).sum((0, 1)), cleaned, rtol=0.02)

@@ -101,3 +101,16 @@ def test_a_workspace_used_again_gives_the_same():
         again.planes[:, :height, :width] = level.planes[:, :height, :width]
         found = pyramid.filter_planes(logits, again, workspace=space).planes
         np.testing.assert_array_equal(found, pyramid.filter_planes(logits, level).planes)
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 96), (45, 70)])
+def test_the_weights_of_a_pixel_make_it(height, width):
+    rng = np.random.default_rng(3)
+    logits, level = random_logits(rng, height, width), filled(rng, 3, height, width)
+    expected = pyramid.reference(logits, level.planes, level.mask)
+    for x, y in ((0, 0), (width - 1, height - 1), (33, 20)):
+        weights = pyramid.weights_at(logits, level.mask, x, y)
+        assert weights.sum() == pytest.approx(1, abs=1e-5)
+        assert not weights[height:].any()
+        made = (weights * level.planes[:3]).sum((1, 2))
+        np.testing.assert_allclose(made, expected[:3, y, x], atol=1e-5)

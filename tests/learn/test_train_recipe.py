@@ -64,7 +64,17 @@ def test_options_are_the_task_s(tmp_path):
 
 @pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda p: p.stem)
 def test_our_own_recipes_load(path):
-    assert load_train_recipe(path).steps > 1000
+    from lambent.learn import photo, rendered
+    from lambent.learn.tasks import TASKS
+
+    recipe = load_train_recipe(path)
+    assert recipe.task in TASKS
+    assert recipe.data
+    if recipe.task == "photo":
+        assert photo.options_for(recipe).patch < 64
+    elif recipe.task in rendered.NETWORKS:
+        network = rendered.NETWORKS[recipe.task](rendered.options_for(recipe))
+        assert network.reach() < 256
 
 
 def test_a_set_that_is_named_by_its_recipe_is_made_first(tmp_path, monkeypatch):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -159,3 +161,16 @@ def test_the_variant_is_chosen_and_errors_name_the_remedy(monkeypatch):
     assert mi.variant() == "llvm_ad_rgb"
     with pytest.raises(EngineError, match="no device 'tpu'"):
         lambent.render.variant.mitsuba("tpu")
+
+
+def test_one_processor_is_enough():
+    """Mitsuba's loader waits for ever with a pool of a single thread."""
+    code = (
+        "import os; os.sched_setaffinity(0, list(os.sched_getaffinity(0))[:1])\n"
+        "from lambent.render.variant import mitsuba\n"
+        "mi = mitsuba()\n"
+        "import drjit as dr\n"
+        "print(dr.thread_count())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) >= 2

@@ -21,13 +21,22 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lambent.denoise import prepare, runtime
+from lambent.denoise.inputs import albedo_of, divisor
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import COARSE, OWN, compile_all, filter_planes
+from lambent.kernels.pyramid import (
+    COARSE,
+    OWN,
+    as_floats,
+    compile_all,
+    filter_planes,
+    padded,
+)
+from lambent.kernels.pyramid import weights_at as pyramid_weights
 
 #: Layers filtered in one pass: weights are made again for the next so many.
 _AT_ONCE = 4
@@ -86,6 +95,25 @@ class Lambent(Denoiser):
         """Every layer with the same kernels; alpha without the albedo."""
         images = [layer.data for layer in layers]
         return self._filter(frame, images, [layer.role is not Role.ALPHA for layer in layers])
+
+    def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
+        """The weights ``(H, W)`` of pixel (x, y), all scales put together, with the mean albedo."""
+        whole = self._whole or prepare.Whole.of(frame)
+        given = prepare.Given.of(frame)
+        with runtime.pyramid_network(self.model(), self.precision, self.threads) as network:
+            packed = prepare.packed_inputs(given, whole, self.preference, "cpu")
+            logits = [level.copy() for level in network(packed)]
+        height, width = frame.height, frame.width
+        mask = np.zeros((padded(height), padded(width)), np.float32)
+        mask[:height, :width] = 1
+        found = pyramid_weights(logits, mask, x, y)[:height, :width]
+        albedo = albedo_of(frame)
+        if albedo is None:
+            return found
+        d = divisor(np, np.nan_to_num(albedo.transpose(2, 0, 1))).mean(axis=0)
+        channel = _GATE + 2 * (y % 2) + x % 2
+        gate = 1 / (1 + np.exp(-float(as_floats(logits[0][channel])[y // 2, x // 2])))
+        return np.asarray(found * (gate * d[y, x] / d + 1 - gate), np.float32)
 
     def at_strength(self, strength: float) -> tuple[Lambent, float]:
         """From 1 to 1/2 the preference rises to 1; below, its result is blended with the input.

@@ -3,7 +3,7 @@
 "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo Renderings" (Bako et al. 2017,
 sec. 4.2) splits the picture at the first hit, because the two parts want different treatment::
 
-    diffuse:   c̃ = c / (f_albedo + ε)       untextured light, smooth; ε = 0.00316      (eq. 8)
+    diffuse:   c̃ = c / (f_albedo + ε)       untextured light, smooth                   (eq. 8)
     specular:  c̃ = log(1 + c)               a range that spans orders of magnitude      (eq. 9)
 
 and multiplies, or takes the exponential, after filtering. Each part is given to its own network
@@ -17,7 +17,8 @@ ten of these. What the paper leaves open, or what departs from it:
   the same in every scene.
 - The network sees log(1 + c̃) of the diffuse light, too: a network that is fed values of 1 and of
   10,000 learns from the latter alone. What its kernels filter is c̃ itself, as in the paper.
-- Where there is no albedo to speak of (emitters, misses, black), the diffuse light is not divided.
+- ε is 0.05, the paper's 0.00316. Emitters and misses have no albedo, and would come out 300 times
+  as bright as they are; not to divide them at all left dashed lines where they meet a surface.
 - A single sample has no variance; its deviation is 0 everywhere, as that of a noise-free frame.
 - A frame without lobes counts as diffuse.
 
@@ -49,9 +50,7 @@ LOBES: Mapping[str, int] = {
 #: Counts up when a network trained for one description could not read the other.
 VERSION = 1
 #: Added to the albedo (eq. 8).
-EPSILON = 0.00316
-#: An albedo below this, mean of its channels, divides nothing.
-DARK = 0.01
+EPSILON = 0.05
 #: Planes of one part that have gradients, and all of them.
 VALUES = 10
 PLANES = VALUES + 4 + 2 * VALUES
@@ -93,7 +92,7 @@ def parts_of(xp: ModuleType, signals: Signals) -> Parts:
     diffuse = layers.get("diffuse", colour)
     specular = colour - diffuse
     albedo = layers.get("diffuse_albedo", layers.get("albedo", three))
-    divisor = divisor_of(xp, albedo)
+    divisor = albedo + EPSILON
     whole = "diffuse" not in layers
     diffuse_std = layers.get("diffuse_std", layers.get("colour_std", none) if whole else none)
     size = divisor.mean(-3)[..., None, :, :]
@@ -129,12 +128,6 @@ def whole_of(xp: ModuleType, signals: Signals) -> Parts:
 def together(xp: ModuleType, diffuse: Any, specular: Any, albedo: Any) -> Any:
     """Radiance again from the filtered parts (eq. 8 and 9 backwards)."""
     return diffuse * albedo + xp.expm1(specular)
-
-
-def divisor_of(xp: ModuleType, albedo: Any) -> Any:
-    """The albedo plus ε; 1 where it is as good as black."""
-    mean = albedo.mean(-3)[..., None, :, :]
-    return xp.where(mean > DARK, albedo + EPSILON, xp.ones_like(albedo))
 
 
 def positive(xp: ModuleType, values: Any) -> Any:

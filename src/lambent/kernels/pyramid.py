@@ -33,7 +33,8 @@ from lambent.kernels.machine import LANES, Code, Kernel, available
 OWN, COARSE = 25, 9
 #: float32, or the upper halves of float32 in uint16.
 Logits = NDArray[Any]
-TINY = 1e-30
+#: Keeps a division by no weight at all finite; far below e^-80, which a border pixel may be left with.
+TINY = 1e-37
 #: Empty columns left and right of a plane, and rows above and below.
 _LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2
 
@@ -434,16 +435,11 @@ def _sum(code: Code, *numbers: str) -> str:
 
 def reference(logits: Sequence[Logits], image: FloatImage, mask: FloatImage) -> FloatImage:
     """The same in NumPy: ``image`` ``(C, H, W)``, ``mask`` ``(H, W)`` 1 where there is a pixel."""
-    logits = [as_floats(level) for level in logits]
-    fine = logits[0]
-    count, height, width = fine.shape[0] // 4, fine.shape[1], fine.shape[2]
-    fine = fine.reshape(count, 2, 2, height, width).transpose(0, 3, 1, 4, 2)
-    planes = [fine.reshape(count, 2 * height, 2 * width), *logits[1:]]
+    planes = _unpacked(logits)
     images, masks = [image], [mask]
     for level in planes[:-1]:
         c, m = images[-1], masks[-1]
-        u = _cells(level[OWN + COARSE])
-        e = np.exp(u - u.max(axis=(1, 3), keepdims=True)) * _cells(m)
+        e = _going_down(level, m)
         total = e.sum(axis=(1, 3)) + TINY
         images.append(np.stack([(e * _cells(plane)).sum(axis=(1, 3)) / total for plane in c]))
         masks.append(_cells(m).max(axis=(1, 3)))
@@ -466,6 +462,64 @@ def reference(logits: Sequence[Logits], image: FloatImage, mask: FloatImage) -> 
         out = (sums / (total + TINY) * m).astype(np.float32)
     assert out is not None
     return out
+
+
+def weights_at(logits: Sequence[Logits], mask: FloatImage, x: int, y: int) -> FloatImage:
+    """The weights ``(H, W)`` of all pixels in the filtered pixel (x, y); ``mask`` as above.
+
+    The filter run backwards: from the pixel down to the coarsest level, what each level's pixels
+    count in it, and up again, what each pixel counts in those.
+    """
+    planes = _unpacked(logits)
+    masks = [mask]
+    for _ in planes[1:]:
+        masks.append(_cells(masks[-1]).max(axis=(1, 3)))
+    asked: dict[tuple[int, int], float] = {(y, x): 1.0}
+    counts: list[FloatImage] = []
+    for number, (level, m) in enumerate(zip(planes, masks, strict=True)):
+        last = number == len(planes) - 1
+        own, beyond = np.zeros_like(m), dict[tuple[int, int], float]()
+        for (py, px), share in asked.items():
+            z = level[: OWN if last else OWN + COARSE, py, px]
+            taps: list[tuple[bool, int, int, float]] = []
+            for k, weight in enumerate(np.exp(z - z.max())):
+                if k < OWN:
+                    at, there = (py + k // 5 - 2, px + k % 5 - 2), m
+                else:
+                    at = (py // 2 + (k - OWN) // 3 - 1, px // 2 + (k - OWN) % 3 - 1)
+                    there = masks[number + 1]
+                inside = 0 <= at[0] < there.shape[0] and 0 <= at[1] < there.shape[1]
+                if inside and there[at]:
+                    taps.append((k < OWN, *at, float(weight)))
+            total = sum(weight for *_, weight in taps) + TINY
+            for is_own, qy, qx, weight in taps:
+                if is_own:
+                    own[qy, qx] += share * weight / total
+                else:
+                    beyond[qy, qx] = beyond.get((qy, qx), 0.0) + share * weight / total
+        counts.append(own)
+        asked = beyond
+    found = counts[-1]
+    for number in range(len(planes) - 2, -1, -1):
+        e = _going_down(planes[number], masks[number])
+        e = e / (e.sum(axis=(1, 3), keepdims=True) + TINY) * found[:, None, :, None]
+        found = counts[number] + e.reshape(counts[number].shape)
+    return np.asarray(found, np.float32)
+
+
+def _unpacked(logits: Sequence[Logits]) -> list[FloatImage]:
+    """Logits ``(K, H, W)`` of every level, as float32; the finest comes folded."""
+    floats = [as_floats(level) for level in logits]
+    fine = floats[0]
+    count, height, width = fine.shape[0] // 4, fine.shape[1], fine.shape[2]
+    fine = fine.reshape(count, 2, 2, height, width).transpose(0, 3, 1, 4, 2)
+    return [fine.reshape(count, 2 * height, 2 * width), *floats[1:]]
+
+
+def _going_down(level: FloatImage, mask: FloatImage) -> FloatImage:
+    """What each pixel counts in the one below, ``(H/2, 2, W/2, 2)``, not yet of sum 1."""
+    u = _cells(level[OWN + COARSE])
+    return np.asarray(np.exp(u - u.max(axis=(1, 3), keepdims=True)) * _cells(mask))
 
 
 def _cells(plane: FloatImage) -> FloatImage:

@@ -97,9 +97,7 @@ class PhotoTask:
 
     def __init__(self, recipe: TrainRecipe, pictures: list[NDArray[np.uint8]]) -> None:
         self.recipe = recipe
-        self.options = record_from(PhotoOptions, dict(recipe.options), _RANGES)
-        if self.options.sigma_low > self.options.sigma_high:
-            raise OptionError("sigma_low lies above sigma_high")
+        self.options = options_for(recipe)
         side = self.options.patch
         fit = [_planes(p, self.options.colour) for p in pictures if min(p.shape[:2]) >= side]
         held = max(1, round(recipe.held_out * len(fit)))
@@ -199,6 +197,14 @@ class PhotoTask:
         """For the card: the folders, and how many pictures."""
         count = len(self.held) + len(self.pictures)
         return [{"name": Path(folder).name, "pictures": count} for folder in self.recipe.data]
+
+
+def options_for(recipe: TrainRecipe) -> PhotoOptions:
+    """The options of a recipe. Raises `OptionError` for those that make no sense."""
+    found = record_from(PhotoOptions, dict(recipe.options), _RANGES)
+    if found.sigma_low > found.sigma_high:
+        raise OptionError("sigma_low lies above sigma_high")
+    return found
 
 
 def psnr(x: FloatImage, clean: FloatImage) -> float:

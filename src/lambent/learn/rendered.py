@@ -168,9 +168,7 @@ class RenderedTask:
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
         self.recipe = recipe
         self.kind = NETWORKS[recipe.task]
-        names = {f for f in self.kind.options_of.__dataclass_fields__}
-        ranges = [r for r in _RANGES if r[0] in names]
-        self.options = record_from(self.kind.options_of, dict(recipe.options), ranges)
+        self.options = options_for(recipe)
         kept, held = parted(stills, recipe.held_out)
         self.sampler = Sampler(kept, lobes=True)
         self.checked = spread(held or kept, recipe.checked, lobes=True)
@@ -287,6 +285,13 @@ class RenderedTask:
             errors.append(errors_of(x.transpose(2, 0, 1), example))
         relmse, smape = (float(max(v, 1e-6)) for v in np.mean(errors, 0))
         return relmse, smape
+
+
+def options_for(recipe: TrainRecipe) -> Any:
+    """The options of the recipe's network. Raises `OptionError` for those that make no sense."""
+    kind = NETWORKS[recipe.task].options_of
+    ranges = [r for r in _RANGES if r[0] in kind.__dataclass_fields__]
+    return record_from(kind, dict(recipe.options), ranges)
 
 
 def ready(example: Example, preference: float = 0.0) -> Crop:

@@ -39,5 +39,8 @@ def mitsuba(device: str = "auto") -> Any:
                 f"Mitsuba has no variant {_VARIANTS[backend]}: {error}",
                 remedy="pip install --force-reinstall 'lambent[render]'",
             ) from error
-
+    dr = importlib.import_module("drjit")
+    if dr.thread_count() < 2:
+        # with one processor Mitsuba 3.9 waits for ever while it loads a scene of many meshes
+        dr.set_thread_count(2)
     return mi
