@@ -11,7 +11,7 @@ is that of held-out crops: the geometric mean of trimmed relMSE and SMAPE over t
 ``dncnn``: the ablation of Zhang et al. 2017, fig. 2: residual learning on and off, batch
 normalisation on and off, Adam and stochastic gradient descent with momentum; PSNR on held-out
 pictures, grey, sigma 25, in a narrower and shorter network than the paper's (``--depth 9 --width
-32``), so that eight of them fit into minutes.
+32``), so that eight of them fit into minutes. Weights begin as in the paper.
 
 Every optimiser runs at each of its learning rates (``RATES``) for a quarter of the steps first and
 goes on with the best of them. Runs are kept in the cache and go on where they were stopped. Prints
@@ -144,7 +144,8 @@ def dncnn(arguments: argparse.Namespace) -> list[Row]:
             "check_every": max(1, arguments.steps // 8), "optimiser": change["optimiser"],
             "options": {
                 "sigma_low": 25.0, "sigma_high": 25.0, "colour": False, "patch": 40,
-                "depth": arguments.depth, "width": arguments.width or 32, **change["options"],
+                "depth": arguments.depth, "width": arguments.width or 32, "small_start": False,
+                **change["options"],
             },
             "rates": SUM_RATES[change["optimiser"]],
         }  # fmt: skip

@@ -33,7 +33,7 @@ from lambent.kernels.machine import LANES, Code, Kernel, available
 OWN, COARSE = 25, 9
 #: float32, or the upper halves of float32 in uint16.
 Logits = NDArray[Any]
-#: Keeps a division by no weight at all finite; far below e^-80, which a border pixel may be left with.
+#: Keeps a division by no weight finite; below e^-80, which a border pixel may be left with.
 TINY = 1e-37
 #: Empty columns left and right of a plane, and rows above and below.
 _LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2

@@ -41,7 +41,7 @@ class PhotoOptions:
     """The table ``[options]`` of a recipe with ``task = "photo"``.
 
     ``sigma_low``, ``sigma_high``: noise in 255ths. ``colour``: three channels or grey. ``depth``,
-    ``width``, ``norm``, ``residual``: of the network. ``patch``: side of a patch in pixels.
+    ``width``, ``norm``, ``residual``, ``small_start``: of the network. ``patch``: side of a patch in pixels.
     """
 
     sigma_low: float = 0.0
@@ -51,6 +51,7 @@ class PhotoOptions:
     width: int = 64
     norm: bool = True
     residual: bool = True
+    small_start: bool = True
     patch: int = 50
 
 
@@ -115,7 +116,8 @@ class PhotoTask:
     def network(self) -> nn.Module:
         """A fresh network as the options have it."""
         o = self.options
-        return dncnn.DnCNN(3 if o.colour else 1, o.depth, o.width, o.norm, o.residual)
+        channels = 3 if o.colour else 1
+        return dncnn.DnCNN(channels, o.depth, o.width, o.norm, o.residual, o.small_start)
 
     def batches(self, first: int, rank: int, world: int) -> Iterator[list[Patch]]:
         """Patches of this process's share of each batch."""

@@ -12,7 +12,8 @@ in [0, 1], a network R of D layers (sec. III-A) gives the noise::
     ℓ(Θ) = 1/(2N) Σ_i ‖R(y_i; Θ) - (y_i - x_i)‖²                                          (1)
 
 D = 17 for one known noise level (receptive field 35x35), D = 20 for blind denoising (41x41), sec.
-III-C. Padding with zeros keeps the size. Weights begin as He et al. 2015 say.
+III-C. Padding with zeros keeps the size. Weights begin as He et al. 2015 say, but for the last
+layer's (``small_start``).
 
 Why it works, as the paper has it: near the optimum R is close to zero everywhere, like the blocks
 of a residual network, and Gaussian noise is what batch normalisation expects; each helps the other
@@ -33,6 +34,8 @@ class DnCNN(nn.Module):
 
     ``depth`` D; ``width``: filters of the layers between; ``norm``: with batch normalisation;
     ``residual``: predict the noise, or else the picture itself (for the paper's comparison).
+    ``small_start``: begin with x̂ near y. As the paper begins, the first R is larger than the noise,
+    and a few hundred steps go by until it is as good as nothing.
     """
 
     def __init__(
@@ -42,6 +45,7 @@ class DnCNN(nn.Module):
         width: int = 64,
         norm: bool = True,
         residual: bool = True,
+        small_start: bool = True,
     ) -> None:
         super().__init__()
         self.residual = residual
@@ -53,13 +57,15 @@ class DnCNN(nn.Module):
             layers.append(nn.ReLU(inplace=True))
         layers.append(nn.Conv2d(width, channels, 3, 1, 1))
         self.layers = nn.Sequential(*layers)
+        last = layers[-1]
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
-        if residual:  # begin with x̂ = y rather than with y minus something large
-            nn.init.normal_(layers[-1].weight, std=1e-3)  # type: ignore[arg-type]
+        if residual and small_start:
+            assert isinstance(last, nn.Conv2d)
+            nn.init.normal_(last.weight, std=1e-3)
 
     def forward(self, y: Tensor) -> Tensor:
         """x̂ = y - R(y); in whatever precision R is computed, the difference is float32."""
