@@ -1,14 +1,16 @@
 """All methods in one table: classical filters, the networks of the papers, OIDN and our own.
 
     python benchmarks/papers.py [--cache DIR] [--spp 1,4,32] [--models kpcn,dpcn,...]
-                                [--no-speed] [--out docs/results/learned]
+                                [--no-speed] [--int8 DATASET] [--out docs/results/learned]
 
 Errors on the validation frames of ``benchmarks/denoise_frames.py`` with all their layers, as
 geometric means over the scenes: trimmed relMSE less the reference's variance, DSSIM, HDR-FLIP.
 Seconds for 1280x720 with colour and its variance, lobes, albedo, normal and depth, one process a
 model, the second call. Multiply-adds a pixel, parameters and hours of training are those of the
-models' cards. Then what the papers say of the order, checked. Prints Markdown; with ``--out`` also
-writes it, and single figures as JSON beside it.
+models' cards. Then what the papers say of the order, checked. ``--int8``: what int8 by measuring
+alone (NNCF, ranges from crops of DATASET) does to the error of the networks whose runs are in the
+cache, and to their time. Prints Markdown; with ``--out`` also writes it, and single figures as JSON
+beside it.
 """
 
 from __future__ import annotations
@@ -117,6 +119,49 @@ def speed(models: list[str]) -> dict[str, float]:
     return found
 
 
+def int8(data: Path, cache: Path, levels: list[int]) -> str:
+    """A line for each network: error and seconds in int8 over those in float."""
+    from dataclasses import replace
+    from tempfile import TemporaryDirectory
+
+    from lambent.filters.denoiser import create
+    from lambent.frame.files import read
+    from lambent.learn.export import export_run
+    from lambent.learn.loop import Run
+    from lambent.learn.recipe import train_recipe_from
+    from lambent.learn.tasks import TASKS
+    from lambent.startup import cache_folder
+
+    lines = []
+    with TemporaryDirectory() as folder:
+        for name in ("kpcn", "dpcn", "modular"):
+            run = Run(cache_folder() / "runs" / name)
+            recipe = replace(train_recipe_from(run.recipe()), data=(str(data),))
+            task = TASKS[recipe.task](recipe, cache_folder() / "training", lambda *_: None)
+            path = Path(folder) / f"{name}.lambent"
+            export_run(run, task, path, int8=True)
+            worse, faster = [], []
+            for frame_path in sorted(cache.glob("*spp.exr")):
+                scene, _, spp = frame_path.stem.rpartition("-")
+                if int(spp.removesuffix("spp")) not in levels or scene.endswith("-splat"):
+                    continue
+                frame = read(frame_path)
+                errors, seconds = [], []
+                for denoiser in (create(name), create(name, weights=str(path))):
+                    denoiser(frame, "beauty")
+                    start = time.perf_counter()
+                    image = denoiser(frame, "beauty").colour
+                    seconds.append(time.perf_counter() - start)
+                    found = measured(image, cache / f"{scene}-reference.exr")
+                    errors.append(max(found["relmse_trimmed"], 1e-7))
+                worse.append(errors[1] / errors[0])
+                faster.append(seconds[1] / seconds[0])
+            lines.append([f"`{name}`", f"{geometric_mean(worse):.3f}", f"{max(worse):.3f}",
+                          f"{geometric_mean(faster):.2f}"])  # fmt: skip
+    head = ["int8", "relMSE ÷ float", "at most", "time ÷ float"]
+    return markdown_table(head, lines)
+
+
 def means(rows: list[Row]) -> dict[tuple[str, int], dict[str, float]]:
     """Geometric means over the scenes, of models that did all of them."""
     scenes = {row["scene"] for row in rows}
@@ -191,12 +236,16 @@ def main() -> None:
     parser.add_argument("--spp", default="1,4,32")
     parser.add_argument("--models", default="", help="names, with commas; default all")
     parser.add_argument("--no-speed", action="store_true")
+    parser.add_argument("--int8", type=Path, metavar="DATASET")
     parser.add_argument("--out", type=Path, help="path without suffix for .md and .json")
     arguments = parser.parse_args()
     models = [m for m in arguments.models.split(",") if m] or everything()
-    rows = quality(models, arguments.cache, [int(n) for n in arguments.spp.split(",")])
+    levels = [int(n) for n in arguments.spp.split(",")]
+    rows = quality(models, arguments.cache, levels)
     seconds = {} if arguments.no_speed else speed(models)
     text = tables(rows, seconds)
+    if arguments.int8 is not None:
+        text += f"\n{int8(arguments.int8, arguments.cache, levels)}\n"
     print(text)
     if arguments.out is not None:
         arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")

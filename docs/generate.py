@@ -95,7 +95,8 @@ def _cell(text: str) -> str:
 ORDER = (
     "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned",
     "sbf", "sbf-tuned", "aaf", "nfor", "nfor-tuned", "statmc", "statmc-tuned",
-    "lambent", "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
+    "dncnn", "dpcn", "kpcn", "modular", "lambent",
+    "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
 )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from lambent.frame.role import Role
 from lambent.learn import photo, rendered
 from lambent.learn.augment import Example
 from lambent.learn.export import export_run
-from lambent.learn.loop import train
+from lambent.learn.loop import Run, train
 from lambent.learn.networks import blocks, dncnn, kernels, kpcn, modular
 from lambent.learn.recipe import TrainRecipe
 
@@ -338,6 +338,20 @@ def test_tiles_are_exact_and_layers_come_along(name, tmp_path):
     assert len(plan.tiles) > 1
     (tiled,) = filter_tiles(denoiser, frame, layers, plan)
     np.testing.assert_allclose(tiled, whole.colour, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["kpcn", "modular"])
+def test_int8_stays_near(name, tmp_path, monkeypatch):
+    pytest.importorskip("nncf")
+    monkeypatch.setattr(rendered, "CALIBRATION", 4)
+    task, _, path, _ = exported(name, tmp_path)
+    run = Run(tmp_path / "run")
+    short = tmp_path / "int8.lambent"
+    export_run(run, task, short, int8=True)
+    frame = made.frame(np.random.default_rng(5), 4, lobes=True)
+    exact, rounded = (create(name, weights=str(p))(frame, "beauty").colour for p in (path, short))
+    noise = np.abs(frame.colour - exact).mean()
+    assert 0 < np.abs(rounded - exact).mean() < 0.1 * noise
 
 
 def test_a_frame_without_lobes_is_cleaned_too(tmp_path):

@@ -33,16 +33,16 @@ def export(
     model: nn.Module,
     path: Path,
     card: Mapping[str, Any],
-    examples: Iterable[FloatImage] | None,
+    examples: Iterable[Any] | None,
     overwrite: bool = False,
     half: bool = False,
     inputs: Sequence[torch.Tensor] = (torch.zeros(1, CHANNELS, 64, 64),),
 ) -> None:
     """Write ``model`` as a model file; ``half``: its weights in half floats.
 
-    ``examples``: inputs without batch, ``(CHANNELS, H/2, W/2)`` for our own, to find the ranges of
-    activations from; None leaves the network in float. ``inputs``: a tensor like each input.
-    Raises `OutputError`.
+    ``examples``: inputs without batch, ``(CHANNELS, H/2, W/2)`` for our own (tuples for a network
+    that takes several), to find the ranges of activations from; None leaves the network in float.
+    ``inputs``: a tensor like each input. Raises `OutputError`.
     """
     # NNCF and the converter talk to standard output, which holds results alone
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
@@ -53,7 +53,7 @@ def export(
 
 def _converted(
     model: nn.Module,
-    examples: Iterable[FloatImage] | None,
+    examples: Iterable[Any] | None,
     half: bool,
     inputs: Sequence[torch.Tensor],
 ) -> tuple[bytes, bytes]:
@@ -68,7 +68,10 @@ def _converted(
         import nncf
 
         logging.getLogger("nncf").setLevel(logging.ERROR)
-        data = [example[None] for example in examples]
+        data = [
+            tuple(part[None] for part in example) if isinstance(example, tuple) else example[None]
+            for example in examples
+        ]
         graph = nncf.quantize(
             graph,
             nncf.Dataset(data),

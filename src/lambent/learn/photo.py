@@ -41,7 +41,8 @@ class PhotoOptions:
     """The table ``[options]`` of a recipe with ``task = "photo"``.
 
     ``sigma_low``, ``sigma_high``: noise in 255ths. ``colour``: three channels or grey. ``depth``,
-    ``width``, ``norm``, ``residual``, ``small_start``: of the network. ``patch``: side of a patch in pixels.
+    ``width``, ``norm``, ``residual``, ``small_start``: of the network. ``patch``: side of a patch
+    in pixels.
     """
 
     sigma_low: float = 0.0

@@ -41,6 +41,8 @@ NETWORKS = Registry(
         "blocks": "lambent.learn.networks.blocks:Blocks",
     },
 )
+#: Crops that int8 is calibrated with.
+CALIBRATION = 64
 #: Exposures of training crops differ by up to so many stops.
 STOPS = 1.0
 _RANGES: tuple[Range, ...] = (
@@ -260,9 +262,12 @@ class RenderedTask:
         """For the card: the score in words."""
         return f"{scores['score']:.3f} of OIDN High's error on held-out crops of its own data"
 
-    def calibration(self) -> list[FloatImage]:
-        """Diffuse planes of training crops, for networks of one input."""
-        return [self.crop(0, n).diffuse_planes for n in range(64)]
+    def calibration(self) -> list[tuple[FloatImage, ...]]:
+        """What the network reads of training crops."""
+        own: Any = self.network()
+        crops = [self.crop(0, n) for n in range(CALIBRATION)]
+        batches = [RenderedBatch.of([crop], torch.device("cpu")) for crop in crops]
+        return [tuple(t[0].contiguous().numpy() for t in own.inputs(b)) for b in batches]
 
     def about_data(self) -> list[dict[str, Any]]:
         """For the card: what each data set is, how much of it, made of what."""
