@@ -150,7 +150,8 @@ def dncnn(arguments: argparse.Namespace) -> list[Row]:
             "rates": SUM_RATES[change["optimiser"]],
         }  # fmt: skip
         row = learned(label, settings, lambda r: PhotoTask(r, pictures), arguments.runs)
-        row["curve"] = [[step, -score] for step, score in row["curve"]]
+        # a score is an error in 255ths
+        row["curve"] = [[step, -20 * math.log10(score / 255)] for step, score in row["curve"]]
         rows.append({"group": change["optimiser"], **row})
     return rows
 

@@ -456,7 +456,8 @@ def test_dncnn_learns_to_take_noise_off():
     assert float(dncnn.loss(noisy, clean)) == pytest.approx(untouched, rel=0.1)
     assert np.mean(losses[-10:]) < 0.6 * untouched
     scores, shown = task.score(model.eval(), torch.device("cpu"))
-    assert scores["score"] == -scores["psnr 50"] < -14
+    assert scores["psnr 50"] > 14
+    assert scores["score"] == pytest.approx(255 * 10 ** (-scores["psnr 50"] / 20))
     assert shown
 
 

@@ -104,8 +104,9 @@ class Progress:
     def _log_lines(self) -> None:
         while True:
             done, total, text = self._state
-            share = f"{100 * done / total:.0f} %, " if done > 0 else ""
-            print(f"{self.what}: {text}, {share}{self._time_text()}", file=sys.stderr, flush=True)
+            share = f"{100 * done / total:.0f} %" if done > 0 else ""
+            words = ", ".join(filter(None, (text, share, self._time_text())))
+            print(f"{self.what}: {words}", file=sys.stderr, flush=True)
             if self._over.wait(LOG_EVERY):
                 return
 

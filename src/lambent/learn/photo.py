@@ -154,7 +154,10 @@ class PhotoTask:
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
-        """PSNR in dB on the held-out pictures, in float32; ``score`` is minus their mean."""
+        """PSNR in dB on the held-out pictures, in float32.
+
+        ``score``: their mean as a root-mean-square error in 255ths.
+        """
         o = self.options
         blind = o.sigma_low < o.sigma_high
         found: dict[str, float] = {}
@@ -172,7 +175,7 @@ class PhotoTask:
                     row = np.concatenate([noisy, x, clean], 2).transpose(1, 2, 0)
                     shown[f"sigma {sigma:g}, {number}"] = inverse_srgb(np.clip(row, 0, 1))
             found[f"psnr {sigma:g}"] = float(np.mean(values))
-        found["score"] = -float(np.mean(list(found.values())))
+        found["score"] = float(255 * 10 ** (-np.mean(list(found.values())) / 20))
         return found, shown
 
     def exportable(self, model: nn.Module) -> Exportable:

@@ -62,22 +62,23 @@ def training_page(
     if len(losses) > 1:
         body += f"<section><h2>Loss</h2>{curve({'loss': losses})}</section>"
     if checks:
-        ratios = sorted({key for _, check in checks for key in check if key.endswith("/oidn")})
+        known = {key for _, check in checks for key in check}
+        shown = sorted(k for k in known if k.endswith("/oidn") or k.startswith("psnr"))
         curves = {
             key: [(s, check[key]) for s, check in checks if key in check]
-            for key in [*ratios, "score"]
+            for key in [*shown, "score"]
         }
         if len(checks) > 1:
-            words = "Errors on held-out data, as ratios to OIDN's where the name says so"
+            words = "On held-out data; errors as ratios to OIDN's where the name says so"
             body += f"<section><h2>{words}</h2>{curve(curves)}</section>"
         body += f"<section><h2>Validation</h2>{_table(checks)}</section>"
     if pictures:
-        shown = "".join(
+        figures = "".join(
             f"<figure>{picture(png, f'validation {k}', *size)}"
             f"<figcaption>noisy, cleaned, target</figcaption></figure>"
             for k, (png, size) in enumerate(pictures)
         )
-        body += f'<section><h2>Pictures</h2><div class="gallery">{shown}</div></section>'
+        body += f'<section><h2>Pictures</h2><div class="gallery">{figures}</div></section>'
     state = "training" if running else "trained"
     return build(f"{name}, {state}", body, subtitle=escape(f"{step} steps"))
 
