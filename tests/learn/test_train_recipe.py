@@ -98,3 +98,12 @@ def test_a_set_that_is_named_by_its_recipe_is_made_first(tmp_path, monkeypatch):
     before = {p: p.stat().st_mtime for p in (folder / "crops").rglob("*")}
     assert data.with_data(recipe).data == found.data
     assert before == {p: p.stat().st_mtime for p in (folder / "crops").rglob("*")}
+
+
+@pytest.mark.parametrize("task", ["denoise", "photo", "kpcn", "dpcn", "modular", "blocks"])
+def test_every_task_asks_for_data(task, tmp_path):
+    from lambent.learn.recipe import train_recipe_from
+    from lambent.learn.tasks import TASKS
+
+    with pytest.raises(OptionError, match="names no data"):
+        TASKS[task](train_recipe_from({"name": "x", "task": task}), tmp_path)

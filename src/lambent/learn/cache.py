@@ -25,12 +25,13 @@ from lambent.dataset.item import Still
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.denoise.inputs import LAYERS, Signals, signals_of
 from lambent.denoise.lobes import LOBES, lobes_of
-from lambent.errors import LambentError
+from lambent.errors import LambentError, OptionError
 from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
+from lambent.learn.recipe import TrainRecipe
 
 #: Layers of a level in the file, after its three channels of colour.
 STORED = {name: count for name, count in LAYERS.items() if name != "history"} | dict(LOBES)
@@ -112,6 +113,21 @@ def cached(
                 )
             )
     return found
+
+
+def stills_of(
+    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+) -> list[Cached]:
+    """The stills of all data of a training recipe.
+
+    Raises `OptionError` without data, and what reading data sets raises.
+    """
+    if not recipe.data:
+        raise OptionError(
+            "the recipe names no data",
+            remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
+        )
+    return [still for folder in recipe.data for still in cached(Path(folder), place, progress)]
 
 
 # ------------------------------------------------------------------- private

@@ -13,14 +13,12 @@ from torch import Tensor, nn
 
 from lambent.denoise.inputs import CHANNELS, MASKS, Signals
 from lambent.errors import OptionError
-from lambent.filters.denoiser import create
-from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.learn import lamps, losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import Row, Sampler, batches, ready, row
-from lambent.learn.cache import Cached, cached
-from lambent.learn.held_out import about_sets, errors_of, parted, spread
+from lambent.learn.cache import Cached
+from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Exportable, Pictures
@@ -73,12 +71,7 @@ def denoising_task(
 
     Raises `OptionError` without data, and what reading data sets raises.
     """
-    if not recipe.data:
-        raise OptionError(
-            "the recipe names no data",
-            remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
-        )
-    return DenoisingTask(recipe, [s for f in recipe.data for s in cached(Path(f), place, progress)])
+    return DenoisingTask(recipe, stills_of(recipe, place, progress))
 
 
 class DenoisingTask:
@@ -184,20 +177,10 @@ class DenoisingTask:
 
     def _oidn(self) -> dict[str, float]:
         """The same errors of OIDN, which gets the albedo and normal where the subset has them."""
-        oidn = create("oidn")
         found: dict[str, float] = {}
-        plain: list[tuple[float, float]] = []
-        colour: list[tuple[float, float]] = []
-        for example, _ in self.checked:
-            layers = example.noisy.layers
-            guides: dict[str, Any] = {
-                name: np.ascontiguousarray(layers[name].transpose(1, 2, 0))
-                for name in ("albedo", "normal")
-            }
-            image = np.ascontiguousarray(example.noisy.colour.transpose(1, 2, 0))
-            for into, given in ((plain, guides), (colour, {})):
-                x = oidn(Frame.from_arrays(colour=image, **given), "beauty").colour
-                into.append(errors_of(x.transpose(2, 0, 1), example))
+        examples = [example for example, _ in self.checked]
+        plain = [errors_of(by_oidn(e, ("albedo", "normal")), e) for e in examples]
+        colour = [errors_of(by_oidn(e, ()), e) for e in examples]
         _put(found, "full", plain)
         _put(found, "plain", plain)
         _put(found, "colour", colour)

@@ -10,6 +10,8 @@ import numpy as np
 
 from lambent.dataset.reader import open_dataset
 from lambent.errors import OptionError
+from lambent.filters.denoiser import create
+from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.learn.augment import Example
 from lambent.learn.cache import Cached
@@ -62,6 +64,19 @@ def errors_of(x: FloatImage, example: Example) -> tuple[float, float]:
     noise = example.deviation[0] ** 2 / size
     smape = (np.abs(x - r) / (np.abs(x) + np.abs(r) + 0.01)).mean()
     return float(error[keep].mean() - noise[keep].mean()), float(smape)
+
+
+def by_oidn(example: Example, guides: Sequence[str]) -> FloatImage:
+    """What OIDN High makes of an example ``(3, H, W)`` with those of its layers: the yardstick."""
+    layers = example.noisy.layers
+    given: dict[str, Any] = {
+        name: np.ascontiguousarray(layers[name].transpose(1, 2, 0))
+        for name in guides
+        if name in layers
+    }
+    image = np.ascontiguousarray(example.noisy.colour.transpose(1, 2, 0))
+    frame = Frame.from_arrays(colour=image, **given)
+    return create("oidn")(frame, "beauty").colour.transpose(2, 0, 1)
 
 
 def about_sets(folders: Iterable[str]) -> list[dict[str, Any]]:

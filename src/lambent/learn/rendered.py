@@ -18,14 +18,11 @@ from torch import Tensor, nn
 
 from lambent.denoise.inputs import Signals
 from lambent.denoise.lobes import parts_of, whole_of
-from lambent.errors import OptionError
-from lambent.filters.denoiser import create
-from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.learn.augment import Example, turned
 from lambent.learn.batches import Sampler, ahead
-from lambent.learn.cache import Cached, cached
-from lambent.learn.held_out import about_sets, errors_of, parted, spread
+from lambent.learn.cache import Cached, stills_of
+from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Exportable, Pictures
 from lambent.registry import Registry
@@ -153,12 +150,7 @@ def rendered_task(
 
     Raises `OptionError` without data, and what reading data sets raises.
     """
-    if not recipe.data:
-        raise OptionError(
-            "the recipe names no data",
-            remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
-        )
-    return RenderedTask(recipe, [s for f in recipe.data for s in cached(Path(f), place, progress)])
+    return RenderedTask(recipe, stills_of(recipe, place, progress))
 
 
 class RenderedTask:
@@ -276,18 +268,7 @@ class RenderedTask:
     # --------------------------------------------------------------- private
 
     def _oidn(self) -> tuple[float, float]:
-        oidn = create("oidn")
-        errors = []
-        for example, _ in self.checked:
-            layers = example.noisy.layers
-            guides: dict[str, Any] = {
-                name: np.ascontiguousarray(layers[name].transpose(1, 2, 0))
-                for name in ("albedo", "normal")
-                if name in layers
-            }
-            image = np.ascontiguousarray(example.noisy.colour.transpose(1, 2, 0))
-            x = oidn(Frame.from_arrays(colour=image, **guides), "beauty").colour
-            errors.append(errors_of(x.transpose(2, 0, 1), example))
+        errors = [errors_of(by_oidn(e, ("albedo", "normal")), e) for e, _ in self.checked]
         relmse, smape = (float(max(v, 1e-6)) for v in np.mean(errors, 0))
         return relmse, smape
 
