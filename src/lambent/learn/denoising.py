@@ -17,7 +17,7 @@ from lambent.frame.layer import FloatImage
 from lambent.learn import lamps, losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import Row, Sampler, batches, ready, row
-from lambent.learn.cache import Cached
+from lambent.learn.cache import Cached, stills_of
 from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
