@@ -1,7 +1,8 @@
 """All methods in one table: classical filters, the networks of the papers, OIDN and our own.
 
     python benchmarks/papers.py [--cache DIR] [--spp 1,4,32] [--models kpcn,dpcn,...]
-                                [--no-speed] [--int8 DATASET] [--out docs/results/learned]
+                                [--no-speed] [--int8 DATASET] [--rows JSON]
+                                [--out docs/results/learned]
 
 Errors on the validation frames of ``benchmarks/denoise_frames.py`` with all their layers, as
 geometric means over the scenes: trimmed relMSE less the reference's variance, DSSIM, HDR-FLIP.
@@ -10,7 +11,8 @@ model, the second call. Multiply-adds a pixel, parameters and hours of training 
 models' cards. Then what the papers say of the order, checked. ``--int8``: what int8 by measuring
 alone (NNCF, ranges from crops of DATASET) does to the error of the networks whose runs are in the
 cache, and to their time. Prints Markdown; with ``--out`` also writes it, and single figures as JSON
-beside it.
+beside it. ``--rows``: take the errors from such a file, and measure the others only: errors can
+be measured on a busy machine, seconds cannot.
 """
 
 from __future__ import annotations
@@ -75,7 +77,6 @@ def quality(models: list[str], cache: Path, levels: list[int]) -> list[Row]:
 
 def speed_worker(model: str) -> None:
     """Print the seconds of the second call."""
-    from lambent.filters.denoiser import create
     from lambent.frame.frame import Frame
 
     rng = np.random.default_rng(0)
@@ -98,7 +99,6 @@ def speed_worker(model: str) -> None:
         start = time.perf_counter()
         clean(frame, settings)
         seconds = time.perf_counter() - start
-    create(model)
     print(json.dumps({"seconds": seconds}))
 
 
@@ -236,12 +236,21 @@ def main() -> None:
     parser.add_argument("--spp", default="1,4,32")
     parser.add_argument("--models", default="", help="names, with commas; default all")
     parser.add_argument("--no-speed", action="store_true")
+    parser.add_argument("--rows", type=Path, metavar="JSON")
     parser.add_argument("--int8", type=Path, metavar="DATASET")
     parser.add_argument("--out", type=Path, help="path without suffix for .md and .json")
     arguments = parser.parse_args()
     models = [m for m in arguments.models.split(",") if m] or everything()
     levels = [int(n) for n in arguments.spp.split(",")]
-    rows = quality(models, arguments.cache, levels)
+    rows: list[Row] = []
+    if arguments.rows is not None:
+        rows = [r for r in json.loads(arguments.rows.read_text())["rows"] if r["spp"] in levels]
+    known = {row["model"] for row in rows}
+    rows += [
+        row
+        for row in quality([m for m in models if m not in known], arguments.cache, levels)
+        if row["model"] not in known
+    ]
     seconds = {} if arguments.no_speed else speed(models)
     text = tables(rows, seconds)
     if arguments.int8 is not None:

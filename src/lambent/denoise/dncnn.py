@@ -86,22 +86,12 @@ class DnCNN(Denoiser):
         """Every layer by itself; alpha as the linear grey picture that it is."""
         return [self._clean(frame, la.data, la.role is Role.ALPHA) for la in layers]
 
-    # --------------------------------------------------------------- private
+    def clean_display(self, picture: FloatImage) -> FloatImage:
+        """Display values ``(H, W, C)``, nominally in [0, 1], cleaned; one or three channels.
 
-    def _clean(self, frame: Frame, image: FloatImage, is_alpha: bool) -> FloatImage:
-        model = self.model()
-        channels = int(model.card["channels"])
-        if is_alpha:
-            return self._shown(image, channels).astype(np.float32)
-        exposure = _exposure_of(frame) if self._exposure is None else self._exposure
-        linear = image * np.float32(exposure)
-        within = np.clip(linear, 0, 1)
-        clean = inverse_srgb(np.clip(self._shown(srgb(within), channels), 0, 1))
-        beyond = linear - within
-        return ((clean + beyond) / np.float32(exposure)).astype(np.float32)
-
-    def _shown(self, picture: FloatImage, channels: int) -> FloatImage:
-        """Display values ``(H, W, C)`` cleaned, whatever number of channels the network reads."""
+        Whatever number of channels the network reads. Raises `LayerError` for others.
+        """
+        channels = int(self.card()["channels"])
         own = picture.shape[2]
         if channels == 3:
             stack = np.repeat(picture, 3, axis=2) if own == 1 else picture
@@ -111,6 +101,18 @@ class DnCNN(Denoiser):
             return found.mean(0)[:, :, None] if own == 1 else found.transpose(1, 2, 0)
         each = [self._run(picture[:, :, c][None])[0] for c in range(own)]
         return np.stack(each, axis=2)
+
+    # --------------------------------------------------------------- private
+
+    def _clean(self, frame: Frame, image: FloatImage, is_alpha: bool) -> FloatImage:
+        if is_alpha:
+            return self.clean_display(image).astype(np.float32)
+        exposure = _exposure_of(frame) if self._exposure is None else self._exposure
+        linear = image * np.float32(exposure)
+        within = np.clip(linear, 0, 1)
+        clean = inverse_srgb(np.clip(self.clean_display(srgb(within)), 0, 1))
+        beyond = linear - within
+        return ((clean + beyond) / np.float32(exposure)).astype(np.float32)
 
     def _run(self, planes: FloatImage) -> FloatImage:
         with runtime.network(self.model(), "f32", self.threads) as network:
