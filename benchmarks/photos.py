@@ -55,9 +55,11 @@ def main() -> None:
         pictures = photographs(arguments.images / folder)[: arguments.count]
         sums: dict[str, dict[int, list[float]]] = {}
         for number, picture in enumerate(pictures):
-            clean = picture.astype(np.float32) / 255
+            clean = picture.pixels.astype(np.float32) / 255
             if kind == "grey":
-                luma = picture.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
+                luma = picture.pixels.astype(np.float32) @ np.array(
+                    [0.299, 0.587, 0.114], np.float32
+                )
                 clean = (np.rint(luma) / 255).astype(np.float32)[:, :, None]
             for sigma in SIGMAS:
                 rng = np.random.default_rng((number, sigma))

@@ -24,6 +24,15 @@ def test_one_model_shows_its_parameters_with_defaults(capsys):
     assert all(name in text for name in parameters("oidn"))
 
 
+@pytest.mark.parametrize("name", list(DENOISERS))
+def test_every_model_has_a_card_to_read(name, capsys):
+    assert main(["models", name]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"{name}: ")
+    learned = bool(DENOISERS[name]().card())
+    assert ("trained" in text) == learned
+
+
 def test_the_table_fits_the_terminal(capsys, monkeypatch):
     for columns in (80, 120):
         monkeypatch.setenv("COLUMNS", str(columns))

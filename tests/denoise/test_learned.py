@@ -213,13 +213,14 @@ def test_another_version_is_refused(tmp_path):
         model_file.read_model(path)
 
 
-def test_its_weights_can_be_explained():
+@pytest.mark.parametrize(("x", "y"), [(70, 40), (215, 220)])
+def test_its_weights_can_be_explained(x, y):
     from lambent.filters.explain import explain
 
-    made = frame(grey=True)
+    made = frame(height=230, width=231, grey=True)
     model = Lambent().fitted(made)
-    found = explain(made, model, 70, 40)
-    cleaned = model(made, "beauty").colour[40, 70]
+    found = explain(made, model, x, y)
+    cleaned = model(made, "beauty").colour[y, x]
     left, top = found.origin
     height, width = found.weights.shape
     seen = made.colour[top : top + height, left : left + width]

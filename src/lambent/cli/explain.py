@@ -129,7 +129,6 @@ def _print(found: Explanation) -> None:
     height, width = found.weights.shape
     x, y = found.pixel
     share = 100 * float((abs(found.weights) > 1e-6 * found.greatest).mean())
-    bias = ", ".join(f"{value:+.3g}" for value in found.bias)
     print(f"{found.model} at pixel {x},{y}\n")
     rows = [
         ("sum of weights", f"{found.sum:.4f}", "1: neither brightens nor darkens"),
@@ -145,8 +144,10 @@ def _print(found: Explanation) -> None:
             "sum of squared weights; less is better",
         ),
         ("worth", f"{found.effective_pixels:.1f} pixels", "of a plain mean with that variance"),
-        ("bias at risk", bias, f"R, G, B; {_measured_on(found)}"),
     ]
+    if found.bias is not None:
+        bias = ", ".join(f"{value:+.3g}" for value in found.bias)
+        rows.append(("bias at risk", bias, f"R, G, B; {_measured_on(found)}"))
     left = max(len(value) for _, value, _ in rows) + 2
     for label, value, note in rows:
         print(f"  {label:<16}{value:<{left}}{note}")
@@ -158,8 +159,8 @@ def _print_beside(there: list[Explanation]) -> None:
     print("\nbeside it:")
     for one in there:
         worth = f"worth {one.effective_pixels:.1f} pixels"
-        bias = ", ".join(f"{value:+.3g}" for value in one.bias)
-        print(f"  {one.model:<{left}}{worth:<22}bias at risk {bias}")
+        bias = "" if one.bias is None else ", ".join(f"{value:+.3g}" for value in one.bias)
+        print(f"  {one.model:<{left}}{worth:<22}{bias and 'bias at risk '}{bias}".rstrip())
 
 
 def _measured_on(found: Explanation) -> str:

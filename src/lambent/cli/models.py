@@ -131,11 +131,7 @@ def _print_card(card: dict[str, Any]) -> None:
 
 def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     """What a learned model's card says, in words."""
-    sets = [
-        f"{one['crops']} crops and {one['clips']} clips of {one['scenes']} scenes "
-        f"({'; '.join(one['licences'])})"
-        for one in card.get("data", ())
-    ]
+    sets = [_data_set(one) for one in card.get("data", ())]
     score = card.get("score", {})
     return [
         ("data", ", ".join(sets)),
@@ -152,6 +148,14 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
             ),
         ),
     ]
+
+
+def _data_set(one: dict[str, Any]) -> str:
+    """One of the things that a model was trained on."""
+    if "pictures" in one:
+        return f"{one['pictures']} pictures of {one['name']}"
+    licences = "; ".join(one["licences"])
+    return f"{one['crops']} crops and {one['clips']} clips of {one['scenes']} scenes ({licences})"
 
 
 def _entry(label: str, text: str, left: int, width: int) -> None:

@@ -37,7 +37,7 @@ class DnCNN(Denoiser):
         name="dncnn",
         title="DnCNN, for photographs",
         paper="Zhang et al. 2017",
-        cost="20 convolutions of 64 filters, 668 kMAC a pixel",
+        cost="20 convolutions of 64 filters, 667 kMAC a pixel",
         when="photographs and tone-mapped pictures with grainy noise; not for raw renders",
         linear=False,
     )

@@ -129,6 +129,10 @@ class Lambent(Denoiser):
         """192: the reach of the network and of its coarsest kernels."""
         return _MARGIN
 
+    def alignment(self) -> int:
+        """32: a pixel of the coarsest level, and the two that the network packs into one."""
+        return 32
+
     def fitted(self, frame: Frame) -> Lambent:
         """A copy with the exposure and the depth of the whole frame."""
         return dataclasses.replace(self, _whole=prepare.Whole.of(frame))

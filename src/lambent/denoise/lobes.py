@@ -20,7 +20,7 @@ ten of these. What the paper leaves open, or what departs from it:
 - ε is 0.05, the paper's 0.00316. Emitters and misses have no albedo, and would come out 300 times
   as bright as they are; not to divide them at all left dashed lines where they meet a surface.
 - A single sample has no variance; its deviation is 0 everywhere, as that of a noise-free frame.
-- A frame without lobes counts as diffuse.
+- All that is not specular counts as diffuse, emission too; so does a frame without lobes.
 
 All functions take NumPy arrays and PyTorch tensors alike (``xp`` is the module), channels first.
 """
@@ -74,10 +74,13 @@ class Parts:
 def lobes_of(frame: Frame) -> dict[str, FloatImage]:
     """The layers of `LOBES` that the frame has, channels first."""
     found: dict[str, FloatImage] = {}
-    if (diffuse := frame.get(Role.DIFFUSE)) is not None:
-        found["diffuse"] = _planes(diffuse)
+    specular, diffuse = frame.get(Role.SPECULAR), frame.get(Role.DIFFUSE)
+    if specular is not None:  # what is not specular counts as diffuse, emission too
+        diffuse = frame.colour - specular
+    if diffuse is not None:
+        found["diffuse"] = _three(_planes(diffuse))
         if (albedo := frame.get(Role.DIFFUSE_ALBEDO)) is not None:
-            found["diffuse_albedo"] = _planes(albedo)
+            found["diffuse_albedo"] = _three(_planes(albedo))
         for name, role in (("diffuse_std", Role.DIFFUSE), ("specular_std", Role.SPECULAR)):
             if (variance := variance_of(frame, role)) is not None:
                 found[name] = np.sqrt(_planes(variance).mean(0, keepdims=True))
@@ -147,6 +150,10 @@ def _with_gradients(
     below = xp.zeros_like(values)
     below[..., :, :-1, :] = values[..., :, 1:, :] - values[..., :, :-1, :]
     return xp.concatenate([values, deviation, *spread, right, below], -3)
+
+
+def _three(planes: FloatImage) -> FloatImage:
+    return planes.repeat(3, axis=0) if len(planes) == 1 else planes
 
 
 def _planes(image: FloatImage) -> FloatImage:

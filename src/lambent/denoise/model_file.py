@@ -87,7 +87,7 @@ def read_model(path: str | os.PathLike[str], reads: str | None = None) -> ModelF
         raise FileError(
             f"is a model that reads {kind}, not {reads}",
             file=path,
-            remedy=f"see its card: lambent models --json; it is a {card.get('name', 'model')}",
+            remedy=f"it was made for --model {card.get('recipe', {}).get('task', 'lambent')}",
         )
     for name, data in ((NETWORK, network), (WEIGHTS, weights)):
         if hashlib.sha256(data).hexdigest() != card["sha256"].get(name):

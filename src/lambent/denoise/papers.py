@@ -23,7 +23,7 @@ from lambent.denoise import prepare, runtime
 from lambent.denoise.inputs import Signals, signals_of
 from lambent.denoise.lobes import Parts, lobes_of, parts_of, together, whole_of
 from lambent.denoise.model_file import ModelFile, loaded_model
-from lambent.errors import OptionError
+from lambent.errors import FileError, OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
@@ -32,9 +32,9 @@ from lambent.kernels.predicted import predicted_window, weights_at
 
 _RADIANCE = ("colour_std", "diffuse", "diffuse_std", "specular_std")
 _USES = (
-    "diffuse", "specular", "albedo", "diffuse_albedo", "normal", "depth", "alpha",
-    "diffuse.variance", "specular.variance", "colour.variance",
-    "albedo.variance", "normal.variance", "depth.variance",
+    "diffuse", "specular", "diffuse_albedo", "diffuse.variance", "specular.variance",
+    "albedo", "normal", "depth",
+    "colour.variance", "albedo.variance", "normal.variance", "depth.variance",
 )  # fmt: skip
 
 
@@ -59,7 +59,15 @@ class _Learned(Denoiser):
 
     def model(self) -> ModelFile:
         """The model file. Raises `FileError` and `DamagedFileError`."""
-        return loaded_model(self.weights or self.about.name, "lobes")
+        found = loaded_model(self.weights or self.about.name, "lobes")
+        task = found.card.get("recipe", {}).get("task")
+        if task != self.about.name:
+            raise FileError(
+                f"holds a network of the task '{task}', not '{self.about.name}'",
+                file=found.path,
+                remedy=f"use it with --model {task}",
+            )
+        return found
 
     def card(self) -> dict[str, Any]:
         """The card of the model file."""
@@ -89,6 +97,8 @@ class _Learned(Denoiser):
         """The frame's signals with lobes, at a fixed exposure; and that exposure."""
         whole = self._whole or prepare.Whole.of(frame)
         signals = signals_of(frame, whole.depth)
+        if len(signals.colour) == 1:
+            signals = replace(signals, colour=signals.colour.repeat(3, axis=0))
         factor = np.float32(whole.exposure)
         layers = {
             name: layer * factor if name in _RADIANCE else layer
@@ -103,7 +113,41 @@ class _Learned(Denoiser):
 
 
 @dataclass(frozen=True)
-class KPCN(_Learned):
+class _TwoParts(_Learned):
+    """KPCN and its twin: diffuse and specular light through networks of their own."""
+
+    def remarks(self, frame: Frame) -> tuple[str, ...]:
+        """Whether there is what the networks were made for."""
+        if lobes_of(frame):
+            return ()
+        return (
+            f"{self.about.name} wants diffuse and specular light apart: all light went through "
+            "the diffuse network",
+        )
+
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """The beauty from both parts, the other layers each as the part that it is."""
+        signals, factor = self._signals(frame)
+        parts = parts_of(np, signals)
+        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
+        whole = "diffuse" not in signals.layers
+        return [self._layer(layer, parts, predicted, whole, np.float32(factor)) for layer in layers]
+
+    # --------------------------------------------------------------- private
+
+    def _layer(
+        self,
+        layer: Layer,
+        parts: Parts,
+        predicted: list[FloatImage],
+        whole: bool,
+        factor: np.float32,
+    ) -> FloatImage:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class KPCN(_TwoParts):
     """Kernel-predicting network. ``part``: whose kernels `lambent explain` shows."""
 
     about: ClassVar[About] = About(
@@ -118,71 +162,81 @@ class KPCN(_Learned):
 
     part: Literal["diffuse", "specular"] = "diffuse"
 
-    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
-        """The beauty from both parts; diffuse and specular by themselves; the rest as diffuse."""
-        signals, factor = self._signals(frame)
-        parts = parts_of(np, signals)
-        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
-        diffuse, specular = self._parts(predicted, parts)
-        found = []
-        for layer in layers:
-            if layer.role is Role.COLOUR:
-                image: FloatImage = together(np, diffuse, specular, parts.albedo) / factor
-                found.append(_image(image, layer))
-            elif layer.role is Role.DIFFUSE:
-                found.append(_image(diffuse * parts.albedo / factor, layer))
-            elif layer.role is Role.SPECULAR:
-                found.append(_image(np.float32(1 / factor) * np.expm1(specular), layer))
-            else:
-                found.append(self._other(predicted, parts, layer))
-        return found
-
     def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
-        """The weights ``(H, W)`` of the chosen part's kernel at pixel (x, y)."""
+        """The weights ``(H, W)`` of the chosen part's c̃ at pixel (x, y)."""
         parts = parts_of(np, self._signals(frame)[0])
         predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
         return weights_at(predicted[0 if self.part == "diffuse" else 1], x, y)
 
     # --------------------------------------------------------------- private
 
-    def _parts(self, predicted: list[FloatImage], parts: Parts) -> tuple[FloatImage, FloatImage]:
-        """ĉ of both parts ``(3, H, W)``."""
-        both = [
-            predicted_window(image.transpose(1, 2, 0), logits).transpose(2, 0, 1)
-            for image, logits in zip((parts.diffuse, parts.specular), predicted, strict=True)
-        ]
-        return both[0], both[1]
-
-    def _other(self, predicted: list[FloatImage], parts: Parts, layer: Layer) -> FloatImage:
+    def _layer(
+        self,
+        layer: Layer,
+        parts: Parts,
+        predicted: list[FloatImage],
+        whole: bool,
+        factor: np.float32,
+    ) -> FloatImage:
+        if layer.role is Role.COLOUR:
+            diffuse, specular = (
+                predicted_window(image.transpose(1, 2, 0), logits).transpose(2, 0, 1)
+                for image, logits in zip((parts.diffuse, parts.specular), predicted, strict=True)
+            )
+            return _image(together(np, diffuse, specular, parts.albedo) / factor, layer)
+        if layer.role is Role.SPECULAR and not whole:
+            light = np.log1p(np.maximum(layer.data * factor, 0))
+            return np.asarray(np.expm1(predicted_window(light, predicted[1])) / factor)
         albedo = _albedo_for(parts.albedo, layer)
         return predicted_window(layer.data / albedo, predicted[0]) * albedo
 
 
 @dataclass(frozen=True)
-class DPCN(KPCN):
+class DPCN(_TwoParts):
     """Direct-predicting network."""
 
-    about: ClassVar[About] = dataclasses.replace(
-        KPCN.about,
+    about: ClassVar[About] = About(
         name="dpcn",
         title="Direct-predicting convolutional network, the twin of kpcn",
+        paper="Bako et al. 2017",
+        uses=_USES,
         cost="two stacks of nine convolutions",
         when="to compare with kpcn: the same networks, giving colours instead of kernels",
+        linear=False,
     )
-    weights_at = None  # type: ignore[assignment]  # it has no weights to show
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
-        """As KPCN. Raises `OptionError` for layers that it cannot know: it has no kernels."""
+        """As KPCN. Raises `OptionError` for layers that it does not say: it has no kernels."""
+        specular = frame.get(Role.SPECULAR)
         for layer in layers:
-            if layer.role not in (Role.COLOUR, Role.DIFFUSE, Role.SPECULAR):
+            known = layer.role is Role.COLOUR
+            if layer.role in (Role.DIFFUSE, Role.SPECULAR) and specular is not None:
+                rest = frame.colour - specular
+                own = rest if layer.role is Role.DIFFUSE else specular
+                known = bool(np.allclose(layer.data, own, rtol=1e-3, atol=1e-4))
+            if not known:
                 raise OptionError(
-                    f"'{self.about.name}' cleans colour, diffuse and specular, not '{layer.name}'",
+                    f"'{self.about.name}' gives the colour and its two parts, no kernels for "
+                    f"'{layer.name}'",
                     remedy="add --passes beauty, or take another model",
                 )
         return super().filter_layers(frame, layers)
 
-    def _parts(self, predicted: list[FloatImage], parts: Parts) -> tuple[FloatImage, FloatImage]:
-        return np.expm1(predicted[0]), predicted[1]
+    # --------------------------------------------------------------- private
+
+    def _layer(
+        self,
+        layer: Layer,
+        parts: Parts,
+        predicted: list[FloatImage],
+        whole: bool,
+        factor: np.float32,
+    ) -> FloatImage:
+        diffuse = np.maximum(np.expm1(predicted[0]), 0) * parts.albedo
+        # what it says of a part that is not there means nothing
+        specular = np.zeros_like(diffuse) if whole else np.maximum(np.expm1(predicted[1]), 0)
+        light = {Role.DIFFUSE: diffuse, Role.SPECULAR: specular}.get(layer.role, diffuse + specular)
+        return _image(light / factor, layer)
 
 
 @dataclass(frozen=True)
@@ -196,7 +250,7 @@ class Modular(_Learned):
         name="modular",
         title="Modular kernel prediction, still frames, lean",
         paper="Vogels et al. 2018",
-        uses=_USES[2:],
+        uses=_USES[5:],
         cost="residual blocks at three scales, windows of 7x7",
         when="to see the asymmetric loss at work: its preference trades noise for bias",
     )
@@ -236,9 +290,13 @@ class Modular(_Learned):
         With the mean albedo: a pixel's weight is that of its light, times a_p / a_q.
         """
         whole, logits = self._predicted(frame)
-        found = _row(logits, x, y)[: frame.height, : frame.width]
+        found = _folded(_row(logits, x, y), frame.height, frame.width)
         albedo = whole.albedo.mean(0)
         return np.asarray(found * albedo[y, x] / albedo, np.float32)
+
+    def alignment(self) -> int:
+        """The side of a pixel of the coarsest scale."""
+        return self._multiple()
 
     # --------------------------------------------------------------- private
 
@@ -300,6 +358,15 @@ def _continued(planes: FloatImage, multiple: int) -> FloatImage:
     """Repeated at the right and lower border until the sides are multiples of a number."""
     more = [-n % multiple for n in planes.shape[1:]]
     return np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "edge") if any(more) else planes
+
+
+def _folded(weights: FloatImage, height: int, width: int) -> FloatImage:
+    """Weights of a continued frame as those of the frame: repeated pixels count as the last."""
+    found = weights[:height, :width].copy()
+    found[-1] += weights[height:, :width].sum(0)
+    found[:, -1] += weights[:height, width:].sum(1)
+    found[-1, -1] += weights[height:, width:].sum()
+    return found
 
 
 def _albedo_for(albedo: FloatImage, layer: Layer) -> FloatImage:

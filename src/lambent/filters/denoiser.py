@@ -95,6 +95,10 @@ class Denoiser:
         """Radius in pixels of what a result pixel may depend on: the margin that tiles need."""
         raise NotImplementedError
 
+    def alignment(self) -> int:
+        """A part of a frame must begin at multiples of this, or its weights are others."""
+        return 1
+
     def fitted(self, frame: Frame) -> Denoiser:
         """A copy whose frame-wide constants (exposure, depth range) are those of ``frame``.
 

@@ -9,10 +9,11 @@ What the numbers say, with independent pixels of equal variance σ²:
 - Σ_q w_pq: 1, or the filter brightens or darkens.
 - Σ_q w_pq²: the variance of the result in σ²; its inverse is the number of pixels that a plain mean
   of the same variance would have taken.
-- bias_p ≈ Σ_q w_pq (e_q - e_p): what the filter would get wrong without any noise, where e stands
+- bias_p ≈ Σ_q w_pq e_q - e_p: what the filter would get wrong without any noise, where e stands
   for the expectation of the colour: the reference if given, else the denoised image itself. The
   latter is smooth already where the filter blurs, so that it tells less bias than there is.
-Weights may be negative (first-order regression).
+Weights may be negative (first-order regression). Those of kpcn are of light divided by the albedo,
+or of the logarithm of specular light: of these no bias of the picture follows, and none is told.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Explanation:
     ``weights`` ``(h, w)`` cover the pixels from ``origin`` = (x, y) of the patch's corner;
     ``pixel`` = (x, y); ``sum`` Σw; ``least``, ``greatest``; ``variance_reduction`` Σw²;
     ``effective_pixels`` 1/Σw²; ``bias`` ``(3,)`` in radiance, estimated with ``bias_from``
-    ("reference" or "denoised"); ``crop`` ``(h, w, 3)``: the beauty under the weights;
-    ``exposure``: at which the picture shows it.
+    ("reference" or "denoised"), None where the result is no mean of the picture; ``crop``
+    ``(h, w, 3)``: the beauty under the weights; ``exposure``: at which the picture shows it.
     """
 
     model: str
@@ -62,7 +63,7 @@ class Explanation:
     greatest: float
     variance_reduction: float
     effective_pixels: float
-    bias: tuple[float, float, float]
+    bias: tuple[float, float, float] | None
     bias_from: str
     exposure: float
 
@@ -77,7 +78,7 @@ class Explanation:
             "greatest": self.greatest,
             "variance_reduction": self.variance_reduction,
             "effective_pixels": self.effective_pixels,
-            "bias": list(self.bias),
+            "bias": None if self.bias is None else list(self.bias),
             "bias_from": self.bias_from,
             "weights": self.weights.tolist(),
         }
@@ -186,14 +187,18 @@ def explain(
     height, width = weights.shape
     inside = (slice(top, top + height), slice(left, left + width))
     crop = np.asarray(frame.colour[inside])
-    if reference is not None:
-        expected = np.asarray(reference, np.float32)[inside][:, :, :3]
-    else:
-        expected = _denoised(frame, fitted, left, top, width, height, margin)
-    apart = expected - expected[y - top, x - left]
-    sound = np.isfinite(apart).all(axis=2)
     exact = weights.astype(np.float64)
-    bias = (exact[:, :, None] * np.where(sound[:, :, None], apart, 0)).sum(axis=(0, 1))
+    bias: tuple[float, float, float] | None = None
+    if denoiser.about.linear:
+        if reference is not None:
+            expected = np.asarray(reference, np.float32)[inside][:, :, :3]
+        else:
+            expected = _denoised(frame, fitted, left, top, width, height, margin)
+        own = expected[y - top, x - left]
+        # what is not known counts as the pixel itself
+        known = np.where(np.isfinite(expected).all(axis=2, keepdims=True), expected, own)
+        red, green, blue = ((exact[:, :, None] * known).sum(axis=(0, 1)) - own).tolist()
+        bias = red, green, blue
     energy = float((exact**2).sum())
     return Explanation(
         model=name,
@@ -206,7 +211,7 @@ def explain(
         greatest=float(exact.max()),
         variance_reduction=energy,
         effective_pixels=1.0 / energy if energy > 0 else float("inf"),
-        bias=(float(bias[0]), float(bias[1]), float(bias[2])),
+        bias=bias,
         bias_from="reference" if reference is not None else "denoised",
         exposure=auto_exposure(frame.colour),
     )
@@ -281,11 +286,17 @@ def _window(found: Explanation, image: NDArray[np.uint8], half: int) -> NDArray[
     return grown[y : y + 2 * half + 1, x : x + 2 * half + 1]
 
 
-def _box(frame: Frame, x0: int, y0: int, x1: int, y1: int, margin: int) -> tuple[int, ...]:
-    """Left, top, right, bottom of a box grown by a margin and cut at the frame."""
+def _box(
+    frame: Frame, x0: int, y0: int, x1: int, y1: int, margin: int, alignment: int
+) -> tuple[int, ...]:
+    """Left, top, right, bottom of a box grown by a margin and cut at the frame.
+
+    Left and top are multiples of ``alignment``, so that pyramids are built from the same pixels.
+    """
+    left, top = max(0, x0 - margin), max(0, y0 - margin)
     return (
-        max(0, x0 - margin),
-        max(0, y0 - margin),
+        left - left % alignment,
+        top - top % alignment,
         min(frame.width, x1 + margin),
         min(frame.height, y1 + margin),
     )
@@ -300,7 +311,7 @@ def _weights(
     same weights at p (weights at *other* pixels of the crop may differ; nobody looks at those).
     """
     own = getattr(denoiser, "weights_at", None)
-    left, top, right, bottom = _box(frame, x, y, x + 1, y + 1, margin)
+    left, top, right, bottom = _box(frame, x, y, x + 1, y + 1, margin, denoiser.alignment())
     part = frame.crop(top, bottom, left, right)
     if own is not None:
         return np.asarray(own(part, x - left, y - top), np.float32), left, top
@@ -319,7 +330,9 @@ def _denoised(
     frame: Frame, denoiser: Denoiser, left: int, top: int, width: int, height: int, margin: int
 ) -> FloatImage:
     """The denoised beauty under the weights."""
-    x0, y0, x1, y1 = _box(frame, left, top, left + width, top + height, margin)
+    x0, y0, x1, y1 = _box(
+        frame, left, top, left + width, top + height, margin, denoiser.alignment()
+    )
     part = frame.crop(y0, y1, x0, x1)
     result = denoiser.filter(part, part.colour)
     return result[top - y0 : top - y0 + height, left - x0 : left - x0 + width, :3]

@@ -32,13 +32,15 @@ def predicted_window(targets: NDArray[Any], logits: FloatImage, device: str = "a
     layout = Layout(height, width, max(side // 2, 1))
     valid = np.isfinite(targets).all(axis=2).astype(np.float32)
     sums = WeightedSums(targets, valid, layout, module)
-    # the largest logit becomes 0, so that no exponential overflows
-    most = _plane(logits.max(axis=0), layout, module)
+    # the largest logit becomes 0, so that no exponential overflows; of those that count, since
+    # beside one that does not they could all vanish
+    most = _plane(_greatest(logits, valid), layout, module)
     for first in range(0, side * side, _TAPS):
         weights = []
         for tap in range(first, min(first + _TAPS, side * side)):
             dy, dx = divmod(tap, side)
-            weight = dr.exp(_plane(logits[tap], layout, module) - most)
+            # one that does not count may be the greater one: held, lest it overflow
+            weight = dr.exp(dr.minimum(_plane(logits[tap], layout, module) - most, 0))
             weights.append((dx - side // 2, dy - side // 2, weight))
         sums.add(weights)
     return sums.mean()
@@ -60,6 +62,20 @@ def weights_at(logits: FloatImage, x: int, y: int) -> FloatImage:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _greatest(logits: FloatImage, valid: FloatImage) -> FloatImage:
+    """Of each pixel, its greatest logit whose pixel lies in the image and is ``valid``."""
+    side = _side(logits)
+    r = side // 2
+    height, width = valid.shape
+    around = np.pad(np.where(valid > 0, np.float32(0), np.float32(-np.inf)), r,
+                    constant_values=-np.inf)  # fmt: skip
+    found = np.full((height, width), -np.inf, np.float32)
+    for tap, logit in enumerate(logits):
+        y, x = divmod(tap, side)
+        np.maximum(found, logit + around[y : y + height, x : x + width], out=found)
+    return np.where(np.isfinite(found), found, np.float32(0))
 
 
 def _plane(image: FloatImage, layout: Layout, module: Any) -> Any:

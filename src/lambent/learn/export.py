@@ -171,7 +171,8 @@ def float_weights(model: str) -> dict[str, torch.Tensor]:
                     v.get_node() for v in after.input_values() if v.get_node() is not op
                     and v.get_node().get_friendly_name() != op.get_friendly_name()
                 )  # fmt: skip
-                found[f"{name}.bias"] = torch.from_numpy(_value(bias).reshape(-1).copy())
+                with contextlib.suppress(LambentError):  # a sum of features, no bias
+                    found[f"{name}.bias"] = torch.from_numpy(_value(bias).reshape(-1).copy())
     return found
 
 

@@ -78,7 +78,7 @@ def finetune(
     frames raises.
     """
     pairs = [pair for path in paths if SUFFIX not in path.name for pair in pairs_of(path)]
-    card = dict(read_model(find_model(start)).card)
+    card = dict(read_model(find_model(start), "signals").card)
     weights = float_weights(start)
     task = FinetuneTask(pairs, str(card.get("recipe", {}).get("size", "default")))
     recipe = TrainRecipe(

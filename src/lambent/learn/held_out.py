@@ -22,8 +22,8 @@ TRIMMED = 1e-3
 
 def parted(stills: Sequence[Cached], share: float) -> tuple[list[Cached], list[Cached]]:
     """Those to learn from, and those held out. Raises `OptionError` for too few scenes."""
-    held = [s for s in stills if is_held_out(s, share)]
-    kept = [s for s in stills if not is_held_out(s, share)]
+    held = [s for s in stills if is_held_out(s.scene, share)]
+    kept = [s for s in stills if not is_held_out(s.scene, share)]
     if not kept or (share and not held):
         raise OptionError(
             f"{len(stills)} stills are too few to hold some scenes out",
@@ -32,9 +32,9 @@ def parted(stills: Sequence[Cached], share: float) -> tuple[list[Cached], list[C
     return kept, held
 
 
-def is_held_out(still: Cached, share: float) -> bool:
+def is_held_out(scene: str, share: float) -> bool:
     """By the scene's name, so that no scene is on both sides, whatever else is in the data."""
-    digest = hashlib.sha256(still.scene.encode()).digest()
+    digest = hashlib.sha256(scene.encode()).digest()
     return int.from_bytes(digest[:4], "big") / 2**32 < share
 
 

@@ -130,7 +130,8 @@ def train(
     the schedule is the recipe's. ``seconds``: stop after so long; the schedule then follows the
     clock. ``check_first``: validate before the first step too. ``after_check`` is called after each
     validation.
-    Raises `OptionError` for a folder that holds a run with another recipe.
+    Raises `OptionError` for a folder that holds a run with another recipe, and for weights of
+    another network.
     """
     here = _process(device)
     run = Run(folder)
@@ -141,7 +142,7 @@ def train(
     if here.device.type == "cpu":
         model = model.to(memory_format=torch.channels_last)
     if start is not None:
-        model.load_state_dict(dict(start))
+        _begin_with(model, start)
     mean = {name: p.detach().clone() for name, p in model.state_dict().items()}
     optimiser = _optimiser(recipe, model)
     step, best, spent = 0, math.inf, 0.0
@@ -238,6 +239,20 @@ def use_threads(count: int) -> None:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _begin_with(model: nn.Module, start: Mapping[str, torch.Tensor]) -> None:
+    """Take the weights over. Raises `OptionError` where they are not this network's."""
+    own = model.state_dict()
+    lacking = [k for k, v in own.items() if k not in start or start[k].shape != v.shape]
+    if lacking:
+        raise OptionError(
+            f"the weights to begin with are of another network: {lacking[0]} is not among them"
+            + (f", nor are {len(lacking) - 1} others" if len(lacking) > 1 else ""),
+            remedy="name the folder of a run of this network; model files of networks with "
+            "normalisation cannot be trained on",
+        )
+    model.load_state_dict({name: start[name] for name in own})
 
 
 def _optimiser(recipe: TrainRecipe, model: nn.Module) -> torch.optim.Optimizer:

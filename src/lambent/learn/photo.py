@@ -8,7 +8,7 @@ targets are made into photographs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.tonemap import inverse_srgb, srgb
 from lambent.learn.batches import ahead
 from lambent.learn.cache import cached
+from lambent.learn.held_out import is_held_out
 from lambent.learn.networks import dncnn
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Exportable, Pictures
@@ -66,6 +67,14 @@ _RANGES = (
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """``pixels`` ``(H, W, 3)`` of 8 bits, and the name of the file or scene."""
+
+    name: str
+    pixels: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
 class Patch:
     """A patch of display values ``(C, P, P)``, with noise and without."""
 
@@ -82,7 +91,7 @@ def photo_task(
             "the recipe names no data",
             remedy='add a line: data = ["FOLDER"], of pictures or made by lambent dataset make',
         )
-    pictures: list[NDArray[np.uint8]] = []
+    pictures: list[Photograph] = []
     for folder in map(Path, recipe.data):
         if (folder / "manifest.json").exists():
             pictures += _rendered(folder, place, progress)
@@ -92,25 +101,26 @@ def photo_task(
 
 
 class PhotoTask:
-    """Learn to take Gaussian noise off pictures ``(H, W, 3)`` of 8 bits: `Task` for `DnCNN`.
+    """Learn to take Gaussian noise off photographs: `Task` for `DnCNN`.
 
+    Some are held out, by their names, so that crops of one scene are all on one side.
     Raises `OptionError` for options that make no sense and too few pictures.
     """
 
-    def __init__(self, recipe: TrainRecipe, pictures: list[NDArray[np.uint8]]) -> None:
+    def __init__(self, recipe: TrainRecipe, pictures: Sequence[Photograph]) -> None:
         self.recipe = recipe
         self.options = options_for(recipe)
         side = self.options.patch
-        fit = [_planes(p, self.options.colour) for p in pictures if min(p.shape[:2]) >= side]
-        held = max(1, round(recipe.held_out * len(fit)))
-        if len(fit) < 2 * held:
+        fit = [p for p in pictures if min(p.pixels.shape[:2]) >= side]
+        held = [p for p in fit if is_held_out(p.name, recipe.held_out)]
+        kept = [p for p in fit if not is_held_out(p.name, recipe.held_out)]
+        if not kept or (recipe.held_out and not held):
             raise OptionError(
                 f"{len(fit)} pictures of at least {side} pixels a side are too few",
-                remedy="name a folder with more, or take a smaller patch",
+                remedy="name a folder with more, take a smaller patch, or set held_out = 0",
             )
-        order = np.random.default_rng(recipe.seed).permutation(len(fit))
-        self.held = [fit[i] for i in order[:held]]
-        self.pictures = [fit[i] for i in order[held:]]
+        self.held = _spread([_planes(p.pixels, self.options.colour) for p in held or kept])
+        self.pictures = [_planes(p.pixels, self.options.colour) for p in kept]
         sizes = np.array([p.shape[1] * p.shape[2] for p in self.pictures], np.float64)
         self._chance = sizes / sizes.sum()
 
@@ -165,7 +175,7 @@ class PhotoTask:
         for sigma in CHECKED if blind else (o.sigma_high,):
             values = []
             for number, picture in enumerate(self.held[: self.recipe.checked]):
-                clean = picture.astype(np.float32) / 255
+                clean = np.asarray(picture / np.float32(255), np.float32)
                 rng = np.random.default_rng((7, number, int(sigma)))
                 noisy = clean + rng.standard_normal(clean.shape, np.float32) * (sigma / 255)
                 noisy = noisy.astype(np.float32)
@@ -200,9 +210,9 @@ class PhotoTask:
         return [self.patch(0, n).noisy for n in range(64)]
 
     def about_data(self) -> list[dict[str, Any]]:
-        """For the card: the folders, and how many pictures."""
-        count = len(self.held) + len(self.pictures)
-        return [{"name": Path(folder).name, "pictures": count} for folder in self.recipe.data]
+        """For the card: the folders, and how many pictures were learned from in all."""
+        names = ", ".join(Path(folder).name for folder in self.recipe.data)
+        return [{"name": names, "pictures": len(self.pictures)}]
 
 
 def options_for(recipe: TrainRecipe) -> PhotoOptions:
@@ -219,8 +229,8 @@ def psnr(x: FloatImage, clean: FloatImage) -> float:
     return float(-10 * np.log10(max(float(np.mean(error**2)), 1e-12)))
 
 
-def photographs(folder: Path) -> list[NDArray[np.uint8]]:
-    """The PNG and JPEG files of a folder as ``(H, W, 3)``, by name. Raises `FileError`."""
+def photographs(folder: Path) -> list[Photograph]:
+    """The PNG and JPEG files of a folder, by name. Raises `FileError`."""
     from PIL import Image, UnidentifiedImageError
 
     if not folder.is_dir():
@@ -231,9 +241,10 @@ def photographs(folder: Path) -> list[NDArray[np.uint8]]:
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in _ENDINGS):
         try:
             with Image.open(path) as image:
-                found.append(np.asarray(image.convert("RGB"), np.uint8))
+                pixels = np.asarray(image.convert("RGB"), np.uint8)
         except (UnidentifiedImageError, OSError) as error:
             raise FileError(f"is no picture: {error}", file=path, remedy="remove it") from None
+        found.append(Photograph(path.name, pixels))
     if not found:
         raise FileError("holds no PNG or JPEG", file=folder, remedy="name another folder")
     return found
@@ -250,9 +261,13 @@ def _planes(picture: NDArray[np.uint8], colour: bool) -> NDArray[np.uint8]:
     return np.rint(luma)[None].astype(np.uint8)
 
 
-def _rendered(
-    folder: Path, place: Path, progress: Callable[..., None] | None
-) -> list[NDArray[np.uint8]]:
+def _spread(pictures: list[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+    """The same ones, so ordered that the first few come from all over."""
+    order = np.random.default_rng(0).permutation(len(pictures))
+    return [pictures[i] for i in order]
+
+
+def _rendered(folder: Path, place: Path, progress: Callable[..., None] | None) -> list[Photograph]:
     """The targets of a data set as photographs, made once and kept in the cache.
 
     A target still has noise of its own, which a photograph for training must not have: it is
@@ -265,7 +280,10 @@ def _rendered(
     if store is not None and store.exists():
         with np.load(store) as known:
             if known["names"].tolist() == names:
-                return list(known["pictures"])
+                return [
+                    Photograph(still.scene, pixels)
+                    for still, pixels in zip(stills, known["pictures"], strict=True)
+                ]
     oidn = create("oidn-best")
     found = []
     for number, still in enumerate(stills):
@@ -286,4 +304,4 @@ def _rendered(
     if store is not None:
         with atomic(store, overwrite=True) as handle:
             np.savez(handle, names=np.array(names), pictures=np.stack(found))
-    return found
+    return [Photograph(still.scene, p) for still, p in zip(stills, found, strict=True)]

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from lambent.denoise.inputs import Signals
 from lambent.denoise.lobes import parts_of, whole_of
+from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.augment import Example, turned
 from lambent.learn.batches import Sampler, ahead
@@ -163,6 +164,21 @@ class RenderedTask:
         self.recipe = recipe
         self.kind = NETWORKS[recipe.task]
         self.options = options_for(recipe)
+        network = self.network()
+        multiple = int(getattr(network, "multiple", 1))
+        if int(self.options.patch) % multiple:
+            raise OptionError(
+                f"a patch of {self.options.patch} pixels does not suit '{recipe.task}'",
+                remedy=f"take a multiple of {multiple}",
+            )
+        if getattr(network, "needs_lobes", False) and not all(
+            "diffuse" in names for still in stills for names in still.layers
+        ):
+            raise OptionError(
+                f"'{recipe.task}' learns from diffuse and specular light apart, and some data "
+                "do not have them",
+                remedy="make the data by lambent dataset make",
+            )
         kept, held = parted(stills, recipe.held_out)
         self.sampler = Sampler(kept, lobes=True)
         self.checked = spread(held or kept, recipe.checked, lobes=True)
@@ -174,9 +190,19 @@ class RenderedTask:
         assert isinstance(found, nn.Module)
         return found
 
-    def started(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """All weights to begin with, from those of another run or model."""
+    def started(self, weights: Mapping[str, Tensor] | None) -> dict[str, Tensor] | None:
+        """All weights to begin with, from those of another run or model; None: fresh ones.
+
+        Raises `OptionError` for a network of which a part is frozen and has to come from there.
+        """
         own: Any = self.network()
+        if weights is None and getattr(self.options, "frozen", False):
+            raise OptionError(
+                "frozen = true keeps what a run begins with, and it begins with nothing",
+                remedy="add --from RUN, the folder of the run that made the rest",
+            )
+        if weights is None:
+            return None
         return own.started(weights) if hasattr(own, "started") else dict(weights)
 
     def batches(self, first: int, rank: int, world: int) -> Iterator[tuple[int, list[Crop]]]:

@@ -49,7 +49,7 @@ def train(
     task = make_task(chosen, cache_folder() / "training", progress)
     folder = Path(run) if run is not None else run_folder(chosen)
     weights = None if start is None else _weights(start)
-    if weights is not None and hasattr(task, "started"):
+    if hasattr(task, "started") and not Run(folder).state.exists():
         weights = task.started(weights)
     done = run_loop(
         chosen, task, folder, device, start=weights, steps=steps,

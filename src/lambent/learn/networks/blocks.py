@@ -8,8 +8,8 @@ activation      sigmoid, tanh; ReLU (Nair and Hinton 2010); leaky ReLU (Maas 201
                 2016); maxout (Goodfellow 2013): the larger one of two channels
 norm            batch normalisation (Ioffe and Szegedy 2015) after each convolution, or none
 block           plain: two 3x3 convolutions; residual (He et al. 2016): the same with a sum around;
-                attention: in windows of 8x8 pixels, as Liu et al. 2021 (Swin), every second block
-                shifted by half a window
+                attention: in windows of 8x8 pixels, every second block shifted by half a window,
+                after Liu et al. 2021 (Swin; here the outermost windows wrap around the image)
 loss            L1, L2, SMAPE (Vogels et al. 2018) of log(1 + c̃)
 ==============  ====================================================================================
 
@@ -105,6 +105,11 @@ class Blocks(nn.Module):
         """What is to be added to log(1 + c̃)."""
         found: Tensor = self.last(self.body(self.first(planes)))
         return found
+
+    @property
+    def multiple(self) -> int:
+        """Height and width must be multiples of this."""
+        return WINDOW if self.options.block == "attention" else 1
 
     def inputs(self, b: RenderedBatch) -> tuple[Tensor, ...]:
         """The planes of the whole light."""

@@ -2,7 +2,7 @@
 
 "Beyond a Gaussian Denoiser: Residual Learning of Deep CNN for Image Denoising" (Zhang, Zuo, Chen,
 Meng and Zhang 2017, IEEE TIP 26(7); arXiv 1608.03981). For a noisy picture y = x + v with values
-in [0, 1], a network R of D layers (sec. III-A) gives the noise::
+in [0, 1], a network R of D layers (sec. III-B) gives the noise::
 
     layer 1          Conv 3x3, 64 filters, ReLU
     layers 2..D-1    Conv 3x3, 64 filters, batch normalisation, ReLU
@@ -12,12 +12,12 @@ in [0, 1], a network R of D layers (sec. III-A) gives the noise::
     ℓ(Θ) = 1/(2N) Σ_i ‖R(y_i; Θ) - (y_i - x_i)‖²                                          (1)
 
 D = 17 for one known noise level (receptive field 35x35), D = 20 for blind denoising (41x41), sec.
-III-C. Padding with zeros keeps the size. Weights begin as He et al. 2015 say, but for the last
+III-A. Padding with zeros keeps the size. Weights begin as He et al. 2015 say, but for the last
 layer's (``small_start``).
 
 Why it works, as the paper has it: near the optimum R is close to zero everywhere, like the blocks
 of a residual network, and Gaussian noise is what batch normalisation expects; each helps the other
-(fig. 2, and `benchmarks/dncnn_ablation.py`). At run time a batch normalisation is a factor and an
+(fig. 2, and `benchmarks/ablations.py dncnn`). At run time a batch normalisation is a factor and an
 offset, which `folded` puts into the convolution before it.
 """
 

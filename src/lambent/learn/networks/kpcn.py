@@ -59,6 +59,7 @@ class KPCN(nn.Module):
     """
 
     options_of = KPCNOptions
+    needs_lobes = True
     options: KPCNOptions
 
     def __init__(self, options: KPCNOptions | None = None) -> None:
@@ -120,6 +121,11 @@ class DPCN(KPCN):
     def parts(self, outputs: tuple[Tensor, ...], b: RenderedBatch) -> tuple[Tensor, Tensor]:
         """ĉ of both parts as they come; the diffuse network speaks in log(1 + c̃), as it is fed."""
         return torch.expm1(outputs[0].float()), outputs[1].float()
+
+    def cleaned(self, outputs: tuple[Tensor, ...], b: RenderedBatch) -> Tensor:
+        """(10), of parts that are no less than 0: nothing holds the networks to that."""
+        diffuse, specular = (part.clamp_min(0) for part in self.parts(outputs, b))
+        return lobes.together(torch, diffuse, specular, b.albedo)  # type: ignore[no-any-return]
 
     def reach(self) -> int:
         """Pixels that a result may depend on, to each side."""
