@@ -468,7 +468,7 @@ def test_layers_are_cleaned_as_what_they_are():
     assert total.mean() == pytest.approx(clean.colour.mean(), rel=0.05)
     alone = lambent.Frame.from_arrays(colour=frame.colour, specular=specular)
     shine = create("kpcn")(alone, "all")[Role.SPECULAR]
-    assert shine.mean() == pytest.approx(specular.mean(), rel=0.1)
+    assert 0.75 * specular.mean() < shine.mean() < 1.02 * specular.mean()
     with pytest.raises(OptionError, match="no kernels for 'diffuse'"):
         create("dpcn")(frame, "diffuse")
 
