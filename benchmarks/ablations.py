@@ -2,6 +2,7 @@
 
     python benchmarks/ablations.py blocks --data DATASET [--steps 400] [--out docs/results/blocks]
     python benchmarks/ablations.py dncnn --data PICTURES [--steps 500] [--out docs/results/dncnn]
+    python benchmarks/ablations.py source --data DATASET --start RUN [--out docs/results/source]
 
 ``blocks``: the small denoiser of `lambent.learn.networks.blocks` on crops of a data set made by
 ``lambent dataset make``: activation, batch normalisation, optimiser, loss, kind of block, one
@@ -11,7 +12,12 @@ is that of held-out crops: the geometric mean of trimmed relMSE and SMAPE over t
 ``dncnn``: the ablation of Zhang et al. 2017, fig. 2: residual learning on and off, batch
 normalisation on and off, Adam and stochastic gradient descent with momentum; PSNR on held-out
 pictures, grey, sigma 25, in a narrower and shorter network than the paper's (``--depth 9 --width
-32``), so that eight of them fit into minutes. Weights begin as in the paper.
+32``), so that they fit into minutes. Weights begin as in the paper; ``small``: the last layer's
+near 0, so that the first result is the noisy picture.
+
+``source``: how much data another renderer needs (Vogels et al. 2018, sec. 4.2): the network of RUN
+(`lambent train recipes/train/modular.toml`) on a small data set of another renderer as it is, with
+a fresh source encoder on its frozen trunk, all of it trained on, and a fresh network.
 
 Every optimiser runs at each of its learning rates (``RATES``) for a quarter of the steps first and
 goes on with the best of them. Runs are kept in the cache and go on where they were stopped. Prints
@@ -58,7 +64,7 @@ BLOCKS: dict[str, list[tuple[str, Row]]] = {
 
 
 def dncnn_runs() -> Iterator[tuple[str, Row]]:
-    """Eight runs."""
+    """Eight runs, and those with residual learning once more from a small last layer."""
     for optimiser in ("adam", "momentum"):
         for residual in (True, False):
             for norm in (True, False):
@@ -66,9 +72,12 @@ def dncnn_runs() -> Iterator[tuple[str, Row]]:
                 words.append("Adam" if optimiser == "adam" else "SGD")
                 options = {"residual": residual, "norm": norm}
                 yield ", ".join(words), {"optimiser": optimiser, "options": options}
+                if residual:
+                    small = {**options, "small_start": True}
+                    yield ", ".join([*words, "small"]), {"optimiser": optimiser, "options": small}
 
 
-def learned(label: str, settings: Row, task_of: Any, folder: Path) -> Row:
+def learned(label: str, settings: Row, task_of: Any, folder: Path, start: Any = None) -> Row:
     """Train one variant, or go on; its curve ``[[step, score], …]``, seconds and learning rate.
 
     A curve that leaves the numbers is kept up to there, and said to have diverged.
@@ -83,7 +92,11 @@ def learned(label: str, settings: Row, task_of: Any, folder: Path) -> Row:
         recipe = train_recipe_from({**settings, "rate": rate})
         short = steps if len(rates) == 1 else max(int(settings["check_every"]), steps // 4)
         place = folder / recipe.name / f"{rate:g}"
-        run = train(recipe, task_of(recipe), place, "cpu", steps=short)
+        task = task_of(recipe)
+        begin = task.started(start) if start is not None else None
+        run = train(
+            recipe, task, place, "cpu", start=begin, steps=short, check_first=begin is not None
+        )
         scores = [ln["check"]["score"] for ln in run.lines() if "check" in ln]
         last = scores[-1] if scores and math.isfinite(scores[-1]) else math.inf
         found.append((last, rate, run))
@@ -153,6 +166,37 @@ def dncnn(arguments: argparse.Namespace) -> list[Row]:
         # a score is an error in 255ths
         row["curve"] = [[step, -20 * math.log10(score / 255)] for step, score in row["curve"]]
         rows.append({"group": change["optimiser"], **row})
+    return rows
+
+
+def source(arguments: argparse.Namespace) -> list[Row]:
+    """Another renderer's frames on a network that knows one."""
+    from lambent.learn.cache import cached
+    from lambent.learn.loop import Run
+    from lambent.learn.rendered import RenderedTask
+    from lambent.startup import cache_folder
+
+    stills = cached(arguments.data, cache_folder() / "training")
+    run = Run(arguments.start or cache_folder() / "runs" / "modular")
+    own = run.recipe()["options"]
+    rows = []
+    for label, begins, frozen in (
+        ("fresh encoder, frozen trunk", True, True),
+        ("trained on as a whole", True, False),
+        ("fresh network", False, False),
+    ):
+        settings = {
+            "name": f"source-{label.replace(', ', '-').replace(' ', '-')}", "task": "modular",
+            "data": [str(arguments.data)], "steps": arguments.steps, "batch": 8, "warmup": 20,
+            "decay": 0.98, "check_every": max(1, arguments.steps // 10), "checked": 40,
+            "held_out": 0.3, "options": {**own, "frozen": frozen}, "rates": (2e-3,),
+        }  # fmt: skip
+        start = run.weights() if begins else None
+        row = learned(label, settings, lambda r: RenderedTask(r, stills), arguments.runs, start)
+        rows.append({"group": "", **row})
+        if begins and not frozen:  # its first validation is that of the network as it came
+            first = [row["curve"][0], *([step, row["curve"][0][1]] for step, _ in row["curve"][1:])]
+            rows.append({**row, "group": "", "label": "as it is", "seconds": 0, "curve": first})
     return rows
 
 
@@ -230,11 +274,12 @@ def plot(rows: list[Row], what: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("blocks", "dncnn"))
+    parser.add_argument("what", choices=("blocks", "dncnn", "source"))
     parser.add_argument("--data", type=Path, required=True, help="a data set, or pictures")
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--width", type=int, default=0)
     parser.add_argument("--depth", type=int, default=9)
+    parser.add_argument("--start", type=Path, help="for source: the run to begin with")
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--runs", type=Path, help="folder of the runs; default in the cache")
     parser.add_argument("--out", type=Path, help="path without suffix for .md, .json and .svg")
@@ -244,7 +289,8 @@ def main() -> None:
 
     use_threads(arguments.threads)
     arguments.runs = arguments.runs or cache_folder() / "runs" / "ablations"
-    rows = blocks(arguments) if arguments.what == "blocks" else dncnn(arguments)
+    make = {"blocks": blocks, "dncnn": dncnn, "source": source}[arguments.what]
+    rows = make(arguments)
     text = f"{machine()}; {arguments.steps} steps.\n\n{table(rows, arguments.what)}\n"
     print(text)
     if arguments.out is not None:
