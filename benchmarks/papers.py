@@ -176,11 +176,26 @@ def means(rows: list[Row]) -> dict[tuple[str, int], dict[str, float]]:
     return found
 
 
+def our_cost(size: str) -> Row:
+    """Parameters and multiply-adds of our own network."""
+    import torch
+
+    from lambent.denoise.inputs import CHANNELS
+    from lambent.learn.export import cost_of
+    from lambent.learn.networks.lambent import LambentNet
+    from lambent.learn.task import Exportable
+
+    inputs = (torch.zeros(1, CHANNELS, 64, 64),)
+    return cost_of(Exportable(LambentNet(size), inputs, "signals"))
+
+
 def card_cells(model: str) -> list[str]:
     """Thousand multiply-adds a pixel, thousand parameters, hours of training."""
     from lambent.filters.denoiser import create
 
-    card = create(model).card() if model != "noisy" else {}
+    card = dict(create(model).card()) if model != "noisy" else {}
+    if model == "lambent":  # its card is from before costs were noted
+        card |= our_cost(card["recipe"]["size"])
     macs, weights = card.get("macs"), card.get("parameters")
     return [
         f"{macs / 1e3:.0f}" if macs else "",
