@@ -257,3 +257,25 @@ def test_a_window_has_the_same_samples_alone_and_among_others():
     assert np.median(apart) < 0.02
     elsewhere = np.abs(part.mean[..., at] - whole.mean[9:13, 8:14, at])
     assert np.median(elsewhere) > 0.2
+
+
+def test_one_sample_tells_no_variance(tmp_path):
+    """A variance of 0 would tell filters that there is no noise; and the picture can still grow."""
+    from lambent.render.job import render
+
+    scene = tmp_path / "ball.xml"
+    scene.write_text(
+        '<scene version="3.0.0"><sensor type="perspective"><transform name="to_world"><lookat '
+        'origin="0,0,5" target="0,0,0" up="0,1,0"/></transform></sensor>'
+        '<emitter type="constant"/><shape type="sphere"><bsdf type="diffuse"/></shape></scene>'
+    )
+    out = tmp_path / "one.exr"
+    one = render(scene, out, spp=1, size=(16, 16))
+    assert one.spp == 1
+    assert not any(layer.stat is Stat.VARIANCE for layer in one.all_layers())
+    assert not any(name.endswith("_variance") for name in one.extras)
+    grown = render(scene, out, spp="+3", size=(16, 16), resume=True)
+    at_once = render(scene, tmp_path / "four.exr", spp=4, size=(16, 16))
+    assert grown.spp == 4
+    spread = [float(f[Role.COLOUR, Stat.VARIANCE].mean()) for f in (grown, at_once)]
+    assert 0.5 < spread[0] / spread[1] < 2

@@ -244,6 +244,8 @@ def _layer_of(frame: Frame, group: Group, stat: Stat) -> Any:
         image = None if found is None else found.data
     else:
         image = frame.get(group.role, stat)
+    if image is None and stat is Stat.VARIANCE and (frame.spp or 0) < 2:
+        return np.zeros_like(_layer_of(frame, group, Stat.MEAN))  # one sample has none
     if image is None:
         raise LayerError("is missing in the picture to go on from", layer=group.name)
     return image

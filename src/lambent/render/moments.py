@@ -98,9 +98,12 @@ class Moments:
         return float(kept.mean(dtype=np.float64))
 
     def frame(self, *, variance: bool = True, halves: bool = True, **fields: Any) -> Frame:
-        """A `Frame`: every group a layer, with its variance, and two half buffers."""
+        """A `Frame`: every group a layer, with its variance, and two half buffers.
+
+        One sample has neither: a variance of 0 would tell filters that there is no noise.
+        """
         layers = []
-        spread = self.variance() if variance else None
+        spread = self.variance() if variance and self.spp >= 2 else None
         for group in self.groups:
             at = self.at(group.name)
             layers.append(_layer(group, self.mean[:, :, at], Stat.MEAN))
