@@ -618,6 +618,14 @@ def test_a_scene_is_on_one_side_only():
     assert len(photo.PhotoTask(photo_recipe(held_out=0.0), crops).pictures) == 24
 
 
+def test_some_patches_are_grey_with_one_noise():
+    task = photo.PhotoTask(photo_recipe(options={"grey": 0.5}), pictures())
+    patches = [task.patch(0, n) for n in range(40)]
+    grey = [bool((p.noisy == p.noisy[:1]).all()) for p in patches]
+    assert grey == [bool((p.clean == p.clean[:1]).all()) for p in patches]
+    assert 8 < sum(grey) < 32
+
+
 def test_pictures_that_are_none_are_named(tmp_path):
     with pytest.raises(FileError, match="no such folder"):
         photo.photographs(tmp_path / "none")

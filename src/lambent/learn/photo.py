@@ -41,7 +41,9 @@ _ENDINGS = (".png", ".jpg", ".jpeg")
 class PhotoOptions:
     """The table ``[options]`` of a recipe with ``task = "photo"``.
 
-    ``sigma_low``, ``sigma_high``: noise in 255ths. ``colour``: three channels or grey. ``depth``,
+    ``sigma_low``, ``sigma_high``: noise in 255ths. ``colour``: three channels or grey. ``grey``:
+    share of the patches that are grey in all three, with the same noise in each, as a grey picture
+    is read: a network that has seen colours alone takes such noise for a texture. ``depth``,
     ``width``, ``norm``, ``residual``, ``small_start``: of the network. ``patch``: side of a patch
     in pixels.
     """
@@ -49,6 +51,7 @@ class PhotoOptions:
     sigma_low: float = 0.0
     sigma_high: float = 55.0
     colour: bool = True
+    grey: float = 0.25
     depth: int = 20
     width: int = 64
     norm: bool = True
@@ -60,6 +63,7 @@ class PhotoOptions:
 _RANGES = (
     ("sigma_low", 0.0, 255.0),
     ("sigma_high", 0.1, 255.0),
+    ("grey", 0.0, 1.0),
     ("depth", 3, 64),
     ("width", 1, 1024),
     ("patch", 8, 512),
@@ -140,12 +144,14 @@ class PhotoTask:
         picture = self.pictures[int(rng.choice(len(self.pictures), p=self._chance))]
         side = self.options.patch
         y, x = (int(rng.integers(n - side + 1)) for n in picture.shape[1:])
-        clean = picture[:, y : y + side, x : x + side]
-        clean = np.rot90(clean, int(rng.integers(4)), (1, 2))
-        clean = clean[:, :, ::-1] if rng.random() < 0.5 else clean
-        clean = np.ascontiguousarray(clean, np.float32) / np.float32(255)
+        cut = np.rot90(picture[:, y : y + side, x : x + side], int(rng.integers(4)), (1, 2))
+        cut = cut[:, :, ::-1] if rng.random() < 0.5 else cut
+        clean: FloatImage = np.ascontiguousarray(cut, np.float32) / np.float32(255)
         sigma = rng.uniform(self.options.sigma_low, self.options.sigma_high) / 255
         noise = rng.standard_normal(clean.shape, np.float32) * np.float32(sigma)
+        if self.options.colour and rng.random() < self.options.grey:
+            clean = np.repeat(clean.mean(axis=0, keepdims=True), 3, axis=0)
+            noise = np.repeat(noise[:1], 3, axis=0)
         return Patch(clean + noise, clean)
 
     def loss(
