@@ -112,6 +112,19 @@ class _Learned(Denoiser):
             return [out[0].copy() for out in network.outputs(*ready)]
 
 
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """A frame in two parts at a fixed exposure (``factor``), and what the networks say of each.
+
+    ``whole``: the frame has no lobes, and all of it is the diffuse part.
+    """
+
+    parts: Parts
+    predicted: list[FloatImage]
+    whole: bool
+    factor: np.float32
+
+
 @dataclass(frozen=True)
 class _TwoParts(_Learned):
     """KPCN and its twin: diffuse and specular light through networks of their own."""
@@ -125,25 +138,11 @@ class _TwoParts(_Learned):
             "the diffuse network",
         )
 
-    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
-        """The beauty from both parts, the other layers each as the part that it is."""
+    def _said(self, frame: Frame) -> _Said:
         signals, factor = self._signals(frame)
         parts = parts_of(np, signals)
         predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
-        whole = "diffuse" not in signals.layers
-        return [self._layer(layer, parts, predicted, whole, np.float32(factor)) for layer in layers]
-
-    # --------------------------------------------------------------- private
-
-    def _layer(
-        self,
-        layer: Layer,
-        parts: Parts,
-        predicted: list[FloatImage],
-        whole: bool,
-        factor: np.float32,
-    ) -> FloatImage:
-        raise NotImplementedError
+        return _Said(parts, predicted, "diffuse" not in signals.layers, np.float32(factor))
 
 
 @dataclass(frozen=True)
@@ -162,29 +161,26 @@ class KPCN(_TwoParts):
 
     part: Literal["diffuse", "specular"] = "diffuse"
 
+    def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
+        """The beauty from both parts, the other layers each as the part that it is."""
+        said = self._said(frame)
+        return [self._layer(layer, said) for layer in layers]
+
     def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
         """The weights ``(H, W)`` of the chosen part's c̃ at pixel (x, y)."""
-        parts = parts_of(np, self._signals(frame)[0])
-        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
-        return weights_at(predicted[0 if self.part == "diffuse" else 1], x, y)
+        return weights_at(self._said(frame).predicted[0 if self.part == "diffuse" else 1], x, y)
 
     # --------------------------------------------------------------- private
 
-    def _layer(
-        self,
-        layer: Layer,
-        parts: Parts,
-        predicted: list[FloatImage],
-        whole: bool,
-        factor: np.float32,
-    ) -> FloatImage:
+    def _layer(self, layer: Layer, said: _Said) -> FloatImage:
+        parts, predicted, factor = said.parts, said.predicted, said.factor
         if layer.role is Role.COLOUR:
             diffuse, specular = (
                 predicted_window(image.transpose(1, 2, 0), logits).transpose(2, 0, 1)
                 for image, logits in zip((parts.diffuse, parts.specular), predicted, strict=True)
             )
             return _image(together(np, diffuse, specular, parts.albedo) / factor, layer)
-        if layer.role is Role.SPECULAR and not whole:
+        if layer.role is Role.SPECULAR and not said.whole:
             light = np.log1p(np.maximum(layer.data * factor, 0))
             return np.asarray(np.expm1(predicted_window(light, predicted[1])) / factor)
         albedo = _albedo_for(parts.albedo, layer)
@@ -220,23 +216,19 @@ class DPCN(_TwoParts):
                     f"'{layer.name}'",
                     remedy="add --passes beauty, or take another model",
                 )
-        return super().filter_layers(frame, layers)
+        said = self._said(frame)
+        return [self._layer(layer, said) for layer in layers]
 
     # --------------------------------------------------------------- private
 
-    def _layer(
-        self,
-        layer: Layer,
-        parts: Parts,
-        predicted: list[FloatImage],
-        whole: bool,
-        factor: np.float32,
-    ) -> FloatImage:
-        diffuse = np.maximum(np.expm1(predicted[0]), 0) * parts.albedo
+    def _layer(self, layer: Layer, said: _Said) -> FloatImage:
+        diffuse = np.maximum(np.expm1(said.predicted[0]), 0) * said.parts.albedo
         # what it says of a part that is not there means nothing
-        specular = np.zeros_like(diffuse) if whole else np.maximum(np.expm1(predicted[1]), 0)
+        specular = np.zeros_like(diffuse)
+        if not said.whole:
+            specular = np.maximum(np.expm1(said.predicted[1]), 0)
         light = {Role.DIFFUSE: diffuse, Role.SPECULAR: specular}.get(layer.role, diffuse + specular)
-        return _image(light / factor, layer)
+        return _image(light / said.factor, layer)
 
 
 @dataclass(frozen=True)
