@@ -56,8 +56,13 @@ def train(
         Path | None, typer.Option("--report", metavar="PAGE.html", help="A page that follows.")
     ] = None,
     minutes: Annotated[
-        float, typer.Option("--minutes", metavar="M", help="How long to fine-tune.")
-    ] = 10.0,
+        float | None,
+        typer.Option(
+            "--minutes",
+            metavar="M",
+            help="How long to fine-tune (10); of a recipe: train for so long instead of its steps.",
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option("--threads", metavar="N", help="Processors to use.")
     ] = None,
@@ -93,7 +98,7 @@ def train(
             raise OptionError("fine-tuning needs a place for the model", remedy="-o mine.lambent")
         with Progress("fine-tuning", quiet=as_json) as progress:
             result = finetune(
-                data, start or "lambent", output, minutes * 60, device,
+                data, start or "lambent", output, (minutes or 10.0) * 60, device,
                 overwrite=overwrite, progress=progress.report,
             )  # fmt: skip
         print_json(result) if as_json else _print_finetuned(result, output)
@@ -110,7 +115,7 @@ def train(
         try:
             done = run_training(
                 chosen, run, output=output, overwrite=overwrite, start=start, steps=steps,
-                device=device, progress=progress.report, after_check=page,
+                seconds=minutes and minutes * 60, device=device, progress=progress.report, after_check=page,
             )  # fmt: skip
         except KeyboardInterrupt:
             place = run if run is not None else run_folder(chosen)

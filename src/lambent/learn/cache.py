@@ -77,10 +77,15 @@ class Cached:
 
 
 def cached(
-    folder: Path, place: Path, progress: Progress | None = None, workers: int | None = None
+    folder: Path,
+    place: Path,
+    progress: Progress | None = None,
+    workers: int | None = None,
+    unpack: bool = True,
 ) -> list[Cached]:
     """The stills of the data set in ``folder``, in the cache below ``place``; made if missing.
 
+    Without ``unpack``: only those that are in the cache by now (another process fills it).
     Raises `FileError` and `DamagedFileError` as reading the data set does.
     """
     data = open_dataset(folder)
@@ -91,15 +96,16 @@ def cached(
     if index.exists():
         known = json.loads(index.read_text())
     lines = [data.line(i) for i in range(len(data))]
-    todo = [i for i, line in enumerate(lines) if line["file"] not in known]
+    todo = [i for i, line in enumerate(lines) if line["file"] not in known] if unpack else []
     try:
         for done, (file, entries) in enumerate(_made(folder, home, todo, workers)):
             known[file] = entries
             if progress is not None:
                 progress(done + 1, len(todo), "unpacking the data set")
     finally:
-        with atomic(index, overwrite=True) as handle:
-            handle.write(json.dumps(known).encode())
+        if todo:
+            with atomic(index, overwrite=True) as handle:
+                handle.write(json.dumps(known).encode())
     found = []
     for line in lines:
         for entry in known.get(line["file"], ()):
@@ -116,9 +122,12 @@ def cached(
 
 
 def stills_of(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    recipe: TrainRecipe,
+    place: Path,
+    progress: Callable[..., None] | None = None,
+    unpack: bool = True,
 ) -> list[Cached]:
-    """The stills of all data of a training recipe.
+    """The stills of all data of a training recipe; without ``unpack``, those cached by now.
 
     Raises `OptionError` without data, and what reading data sets raises.
     """
@@ -127,7 +136,7 @@ def stills_of(
             "the recipe names no data",
             remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
         )
-    return [still for folder in recipe.data for still in cached(Path(folder), place, progress)]
+    return [still for folder in recipe.data for still in cached(Path(folder), place, progress, unpack=unpack)]
 
 
 # ------------------------------------------------------------------- private

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,21 +15,42 @@ import torch
 from torch import Tensor, nn
 
 from lambent.denoise.inputs import CHANNELS, MASKS, Signals
-from lambent.errors import OptionError
+from lambent.errors import EngineError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn import lamps, losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import Row, Sampler, batches, ready, row
 from lambent.learn.cache import Cached, stills_of
-from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
+from lambent.learn.follow import Follower
+from lambent.learn.held_out import about_sets, by_oidn, errors_of, is_held_out, parted, spread
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
+from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.resident import Residents, batch_of
 from lambent.learn.task import Exportable, Pictures
+from lambent.settings import record_from
 
 #: Subsets of layers that a network is scored with.
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
 #: Rows that int8 is calibrated with.
 CALIBRATION = 128
+#: Seconds from one look for new crops to the next, where a run follows its data.
+LOOK_EVERY = 5.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """The ``[options]`` of a recipe with ``task = "denoise"``.
+
+    ``int8``: train with weights and activations rounded as int8 rounds them, to be begun with the
+    weights of a float run (``--from``). ``follow``: take in crops that are added to the data while
+    the run goes on; the run then cannot be repeated exactly. ``resident``: keep the crops in the
+    device's memory and make batches there (`learn.resident`); always so on CUDA.
+    """
+
+    int8: bool = False
+    follow: bool = False
+    resident: bool = False
 
 
 @dataclass
@@ -71,17 +95,21 @@ def denoising_task(
 
     Raises `OptionError` without data, and what reading data sets raises.
     """
-    return DenoisingTask(recipe, stills_of(recipe, place, progress))
+    task = DenoisingTask(recipe, stills_of(recipe, place, progress))
+    if task.options.follow:
+        task.follow(place)
+    return task
 
 
 class DenoisingTask:
-    """Learn to filter: `Task` for `LambentNet`.
+    """Learn to filter: `Task` for `LambentNet`. ``device``: where the loop computes.
 
     Raises `OptionError` for a size that there is not, and for too few scenes.
     """
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
         self.recipe = recipe
+        self.options: Options = record_from(Options, dict(recipe.options))
         if recipe.size not in WIDTHS:
             raise OptionError(
                 f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
@@ -90,22 +118,67 @@ class DenoisingTask:
         self.train = Sampler(kept)
         self.checked = spread(held or kept, recipe.checked)
         self._yardstick: dict[str, float] | None = None
+        self._residents: Residents | None = None
+        self._place: Path | None = None
+        self._looked = 0.0
+
+    device = "cpu"
 
     def network(self) -> nn.Module:
         """A fresh network of the recipe's size."""
+        if self.options.int8:
+            return RoundedNet(self.recipe.size)
         return LambentNet(self.recipe.size)
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
-        """Rows of this process's share of each batch."""
-        return batches(self.train, self.recipe.seed, first, self.recipe.batch, rank, world)
+    def started(self, weights: Mapping[str, Tensor] | None) -> Mapping[str, Tensor] | None:
+        """Weights to begin with: for int8, those of a float run with steps that fit the data.
+
+        Raises `OptionError` where an int8 run has none.
+        """
+        if not self.options.int8 or (weights is not None and "steps.input" in weights):
+            return weights
+        if weights is None:
+            raise OptionError(
+                "rounding is learned last", remedy="begin with trained weights: --from RUN or MODEL"
+            )
+        model = RoundedNet(self.recipe.size)
+        model.load_state_dict(dict(weights), strict=False)
+        examples = [row(self.train, self.recipe.seed + 1, 0, n) for n in range(CALIBRATION // 2)]
+        model.fit(torch.from_numpy(np.stack([r.packed for r in examples])))
+        return model.state_dict()
+
+    def follow(self, place: Path) -> None:
+        """Take in what is added to the data from now on, and unpacked below ``place``."""
+        self._place = place
+        self._follower = Follower(self.recipe.data, place, max(1, (os.cpu_count() or 1) // 4))
+
+    def batches(self, first: int, rank: int, world: int) -> Iterator[Any]:
+        """This process's share of each batch: rows, or its number where batches are made later."""
+        if not self._on_device():
+            return batches(self.train, self.recipe.seed, first, self.recipe.batch, rank, world)
+        return ((step, rank, self.recipe.batch // world) for step in itertools.count(first))
 
     def loss(
-        self, model: nn.Module, batch: list[Row], device: torch.device
+        self, model: nn.Module, batch: Any, device: torch.device
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
-        b = Batch.of(batch, device)
+        b = Batch.of(batch, device) if isinstance(batch, list) else self._made(batch, device)
         x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
+
+    def _on_device(self) -> bool:
+        return self.options.resident or self.device == "cuda"
+
+    def _made(self, batch: tuple[int, int, int], device: torch.device) -> Batch:
+        step, rank, size = batch
+        if self._residents is None:
+            self._residents = Residents(self.train.stills, device)
+        if self._place is not None and time.monotonic() - self._looked > LOOK_EVERY:
+            self._looked = time.monotonic()
+            stills = stills_of(self.recipe, self._place, unpack=False)
+            self._residents.add([s for s in stills if not is_held_out(s.scene, self.recipe.held_out)])
+        packed, *rest = batch_of(self._residents, self.recipe.seed, step, size, rank)
+        return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
 
     def exportable(self, model: nn.Module) -> Exportable:
         """The network, reading packed signals."""
@@ -114,7 +187,8 @@ class DenoisingTask:
 
     def says(self, scores: Mapping[str, float]) -> str:
         """For the card: the score in words."""
-        return f"{scores['score']:.3f} of OIDN High's error on held-out crops of its own data"
+        whose = "OIDN High's" if "full relmse/oidn" in scores else "the noisy input's"
+        return f"{scores['score']:.3f} of {whose} error on held-out crops of its own data"
 
     def calibration(self) -> list[FloatImage]:
         """Packed inputs to measure the ranges of activations on: training rows as they come."""
@@ -130,6 +204,7 @@ class DenoisingTask:
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 
+        Where OIDN is not installed: to those of the noisy input.
         ``score``: geometric mean of the ratios of trimmed relMSE and of SMAPE over the subsets.
         ``lamps``: the share of their light that small lamps put into the crops keep.
         """
@@ -155,7 +230,8 @@ class DenoisingTask:
             for subset in SUBSETS
             for what in ("relmse", "smape")
         ]
-        names = [f"{subset} {what}/oidn" for subset in SUBSETS for what in ("relmse", "smape")]
+        by = "noisy" if self._yardstick.get("noisy") else "oidn"
+        names = [f"{subset} {what}/{by}" for subset in SUBSETS for what in ("relmse", "smape")]
         found.update(dict(zip(names, ratios, strict=True)))
         found["score"] = float(np.exp(np.mean(np.log(ratios))))
         return found, pictures
@@ -179,8 +255,12 @@ class DenoisingTask:
         """The same errors of OIDN, which gets the albedo and normal where the subset has them."""
         found: dict[str, float] = {}
         examples = [example for example, _ in self.checked]
-        plain = [errors_of(by_oidn(e, ("albedo", "normal")), e) for e in examples]
-        colour = [errors_of(by_oidn(e, ()), e) for e in examples]
+        try:
+            plain = [errors_of(by_oidn(e, ("albedo", "normal")), e) for e in examples]
+            colour = [errors_of(by_oidn(e, ()), e) for e in examples]
+        except EngineError:
+            plain = colour = [errors_of(e.noisy.colour, e) for e in examples]
+            found["noisy"] = 1.0
         _put(found, "full", plain)
         _put(found, "plain", plain)
         _put(found, "colour", colour)

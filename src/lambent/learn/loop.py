@@ -138,9 +138,11 @@ def train(
     if here.first:
         _prepare(run, recipe)
     torch.manual_seed(recipe.seed)
-    model = task.network().to(here.device)
-    if here.device.type == "cpu":
-        model = model.to(memory_format=torch.channels_last)
+    if hasattr(task, "device"):
+        task.device = here.device.type
+    if here.device.type == "cuda":
+        torch.backends.cudnn.benchmark = True  # batches are all of one shape
+    model = task.network().to(here.device, memory_format=torch.channels_last)
     if start is not None:
         _begin_with(model, start)
     mean = {name: p.detach().clone() for name, p in model.state_dict().items()}
@@ -187,12 +189,11 @@ def train(
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
-            if bool(torch.isfinite(norm)):  # a step from a bad batch would be the last one
-                optimiser.step()
+            _step(optimiser, norm)
             step += 1
             _average(mean, model, min(recipe.decay, (1 + step) / (10 + step)))
             if log is not None:
-                log.add(step, loss.detach(), terms, float(norm), optimiser.param_groups[0]["lr"])
+                log.add(step, loss.detach(), terms, norm, optimiser.param_groups[0]["lr"])
             if progress is not None and here.first:
                 words = f"training {recipe.name}, step {step} of {last}"
                 progress(step - first, last - first, words)
@@ -259,9 +260,23 @@ def _optimiser(recipe: TrainRecipe, model: nn.Module) -> torch.optim.Optimizer:
     """Of the parameters that are free to learn."""
     free = [p for p in model.parameters() if p.requires_grad]
     if recipe.optimiser == "adam":
-        return torch.optim.AdamW(free, lr=recipe.rate, weight_decay=WEIGHT_DECAY, betas=(0.9, 0.99))
+        return torch.optim.AdamW(
+            free, lr=recipe.rate, weight_decay=WEIGHT_DECAY, betas=(0.9, 0.99),
+            fused=True if free[0].is_cuda else None,
+        )  # fmt: skip
     momentum = 0.9 if recipe.optimiser == "momentum" else 0.0
     return torch.optim.SGD(free, lr=recipe.rate, weight_decay=WEIGHT_DECAY, momentum=momentum)
+
+
+def _step(optimiser: torch.optim.Optimizer, norm: torch.Tensor) -> None:
+    """A step, unless its gradients are not finite: one from a bad batch would be the last one."""
+    if optimiser.defaults.get("fused"):
+        # asking the device would hold up the processor; the fused step takes the answer there
+        optimiser.found_inf = (~torch.isfinite(norm)).float()  # type: ignore[attr-defined]
+        optimiser.grad_scale = None  # type: ignore[attr-defined]
+        optimiser.step()
+    elif bool(torch.isfinite(norm)):
+        optimiser.step()
 
 
 def _process(device: str) -> _Process:
@@ -309,9 +324,7 @@ def _check(
     log: _Log,
 ) -> float:
     """Validate the mean weights; keep them if they are the best so far."""
-    model = task.network().to(device)
-    if device.type == "cpu":
-        model = model.to(memory_format=torch.channels_last)
+    model = task.network().to(device, memory_format=torch.channels_last)
     model.load_state_dict(dict(mean))
     model.eval()
     scores, pictures = task.score(model, device)
@@ -330,11 +343,11 @@ def _check(
 
 def _average(mean: dict[str, torch.Tensor], model: nn.Module, decay: float) -> None:
     with torch.no_grad():
-        for name, value in model.state_dict().items():
-            if value.is_floating_point():
-                mean[name].lerp_(value, 1 - decay)
-            else:
-                mean[name].copy_(value)
+        now = model.state_dict()
+        names = [name for name, value in now.items() if value.is_floating_point()]
+        torch._foreach_lerp_([mean[n] for n in names], [now[n] for n in names], 1 - decay)
+        for name in now.keys() - set(names):
+            mean[name].copy_(now[name])
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -382,7 +395,7 @@ class _Log:
         with atomic(run.log, overwrite=True) as handle:
             handle.write("".join(json.dumps(line) + "\n" for line in kept).encode())
         self._file = run.log.open("a", encoding="utf-8")
-        self._sums: dict[str, float] = {}
+        self._sums: dict[str, Any] = {}
         self._count = 0
         self._since = time.monotonic()
         self._board: Any = None
@@ -392,17 +405,18 @@ class _Log:
             self._board = SummaryWriter(str(run.folder / "tensorboard"), purge_step=step)
 
     def add(
-        self, step: int, loss: torch.Tensor, terms: Mapping[str, Any], norm: float, rate: float
+        self, step: int, loss: torch.Tensor, terms: Mapping[str, Any], norm: torch.Tensor, rate: float
     ) -> None:
         """Take a step into the means; write them now and then."""
         for name, value in {"loss": loss, **terms}.items():
-            self._sums[name] = self._sums.get(name, 0.0) + float(value.detach())
+            # sums stay on the device: to read one is to wait for it
+            self._sums[name] = self._sums.get(name, 0.0) + value.detach().double()
         self._count += 1
         if step % LOG_EVERY:
             return
         now = time.monotonic()
-        line = {name: round(total / self._count, 6) for name, total in self._sums.items()}
-        line |= {"rate": rate, "norm": round(norm, 4)}
+        line = {name: round(float(total) / self._count, 6) for name, total in self._sums.items()}
+        line |= {"rate": rate, "norm": round(float(norm), 4)}
         line["steps_a_second"] = round(self._count / max(now - self._since, 1e-9), 3)
         self._write({"step": step, **line}, "train")
         self._sums, self._count, self._since = {}, 0, now

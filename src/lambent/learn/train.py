@@ -26,6 +26,7 @@ def train(
     overwrite: bool = False,
     start: str | None = None,
     steps: int | None = None,
+    seconds: float | None = None,
     device: str = "auto",
     progress: Progress | None = None,
     after_check: Callable[[Run], None] | None = None,
@@ -34,7 +35,8 @@ def train(
 
     ``run``: folder of the run (None: `run_folder`). ``output``: write the best weights as a model
     file. ``start``: a model, by name or path, or a run's folder, to begin with. ``steps``: stop
-    after so many in all, for now. ``after_check`` is called after each validation. Example::
+    after so many in all, for now. ``seconds``: train for so long, with the schedule of the rate by
+    the clock. ``after_check`` is called after each validation. Example::
 
         run = lambent.train("recipes/train/denoiser.toml", output="mine.lambent")
         run.lines()[-1]
@@ -52,7 +54,7 @@ def train(
     if hasattr(task, "started") and not Run(folder).state.exists():
         weights = task.started(weights)
     done = run_loop(
-        chosen, task, folder, device, start=weights, steps=steps,
+        chosen, task, folder, device, start=weights, steps=steps, seconds=seconds,
         progress=progress, after_check=after_check,
     )  # fmt: skip
     if output is not None:

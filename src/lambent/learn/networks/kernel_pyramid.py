@@ -19,7 +19,10 @@ logit a pixel, so that a firefly can be kept out of the coarse levels.
 
 from __future__ import annotations
 
+import functools
+import importlib
 from collections.abc import Sequence
+from types import ModuleType
 
 import numpy as np
 import torch
@@ -56,6 +59,9 @@ def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
 
 def _average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:
     """(2) and (3), by compiled kernels where there are any."""
+    if image.device.type == "cuda" and (triton := _triton()) is not None:
+        return triton.average(logits, image, coarse, packed)
+    logits = logits.float()
     if image.device.type == "cpu" and available():
         return _Average.apply(logits, image, coarse)
     if packed:
@@ -75,9 +81,19 @@ def _down(image: Tensor, logits: Tensor, packed: bool) -> Tensor:
         u = u.permute(0, 1, 4, 2, 5, 3)
     else:
         u = logits[:, first : first + 1].reshape(b, 1, h // 2, 2, w // 2, 2)
+    u = u.float()
     e = torch.exp(u - u.amax((3, 5), keepdim=True))
     e = e / e.sum((3, 5), keepdim=True)
     return (image.reshape(b, c, h // 2, 2, w // 2, 2) * e).sum((3, 5))
+
+
+@functools.lru_cache(maxsize=1)
+def _triton() -> ModuleType | None:
+    """`pyramid_cuda`, where Triton is installed: PyTorch for CUDA on Linux brings it."""
+    try:
+        return importlib.import_module("lambent.learn.networks.pyramid_cuda")
+    except ImportError:
+        return None
 
 
 def _softmax(logits: Tensor) -> Tensor:

@@ -24,9 +24,9 @@ from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply
 
 #: Widths of the four levels, by size.
 WIDTHS = {
-    "fast": (48, 64, 96, 128),
+    "fast": (32, 48, 64, 80),
     "default": (64, 96, 128, 192),
-    "best": (96, 128, 192, 256),
+    "best": (96, 112, 144, 160),
 }
 #: The image's sides must be multiples of this.
 MULTIPLE = 32
@@ -72,15 +72,24 @@ class LambentNet(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The logits of the five levels, finest first."""
-        r = F.relu
-        e0 = r(self.enc0(r(self.stem(x))))
-        e1 = r(self.enc1(r(self.down1(e0))))
-        e2 = r(self.enc2(r(self.down2(e1))))
-        e3 = r(self.enc3b(r(self.enc3a(r(self.down3(e2))))))
-        d2 = r(self.dec2b(r(self.dec2a(torch.cat([_up(e3), e2], 1)))))
-        d1 = r(self.dec1b(r(self.dec1a(torch.cat([_up(d2), e1], 1)))))
-        d0 = r(self.dec0b(r(self.dec0a(torch.cat([_up(d1), e0], 1)))))
+
+        def r(name: str, z: Tensor) -> Tensor:
+            return self.rounded(name, F.relu(z))
+
+        x = self.rounded("input", x)
+        # what is put side by side is rounded alike: it becomes one tensor
+        e0 = r("at_half", self.enc0(r("stem", _wide(self.stem, x))))
+        e1 = r("at_quarter", self.enc1(r("down1", self.down1(e0))))
+        e2 = r("at_eighth", self.enc2(r("down2", self.down2(e1))))
+        e3 = r("at_eighth", self.enc3b(r("enc3a", self.enc3a(r("down3", self.down3(e2))))))
+        d2 = r("at_quarter", self.dec2b(r("dec2a", self.dec2a(torch.cat([_up(e3), e2], 1)))))
+        d1 = r("at_half", self.dec1b(r("dec1a", self.dec1a(torch.cat([_up(d2), e1], 1)))))
+        d0 = r("dec0b", self.dec0b(r("dec0a", self.dec0a(torch.cat([_up(d1), e0], 1)))))
         return self.head0(d0), self.head1(d0), self.head2(d1), self.head3(d2), self.head4(e3)
+
+    def rounded(self, name: str, x: Tensor) -> Tensor:
+        """An activation as int8 knows it; as it is, in this network in float (`rounded`)."""
+        return x
 
 
 def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Tensor:
@@ -93,14 +102,24 @@ def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Te
     The first term keeps texture under light that varies slowly; the second is for pixels whose
     albedo is itself noise (depth of field) or says nothing (glass, smoke).
     """
-    logits = [o.float() for o in outputs]
-    both = apply(logits, torch.cat([colour / divisor, colour], 1))
-    gate = torch.sigmoid(F.pixel_shuffle(logits[0][:, 4 * LOGITS :], 2))
+    both = apply(outputs, torch.cat([colour / divisor, colour], 1))
+    gate = torch.sigmoid(F.pixel_shuffle(outputs[0][:, 4 * LOGITS :].float(), 2))
     return gate * divisor * both[:, :3] + (1 - gate) * both[:, 3:]
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
     return nn.Conv2d(inputs, outputs, 3, stride, 1)
+
+
+def _wide(conv: nn.Conv2d, x: Tensor) -> Tensor:
+    """``conv(x)``. Matrix units want multiples of 8 channels: on CUDA, zeros are added."""
+    lacking = -x.shape[1] % 8
+    if not x.is_cuda or not lacking or type(conv) is not nn.Conv2d:
+        out: Tensor = conv(x)
+        return out
+    more = (0, 0, 0, 0, 0, lacking)
+    x = F.pad(x, more).contiguous(memory_format=torch.channels_last)
+    return F.conv2d(x, F.pad(conv.weight, more), conv.bias, 1, 1)
 
 
 def _up(x: Tensor) -> Tensor:
