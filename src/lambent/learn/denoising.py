@@ -95,7 +95,10 @@ def denoising_task(
 
     Raises `OptionError` without data, and what reading data sets raises.
     """
-    task = DenoisingTask(recipe, stills_of(recipe, place, progress))
+    found: list[Cached] = []
+    if recipe.options.get("follow"):
+        found = stills_of(recipe, place, unpack=False)
+    task = DenoisingTask(recipe, found or stills_of(recipe, place, progress))
     if task.options.follow:
         task.follow(place)
     return task

@@ -14,6 +14,7 @@ step. Two things are added that a row at a time would be too slow for:
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -46,8 +47,8 @@ for _name, _count in STORED.items():
     if _name in LAYERS:
         _FROM += range(_place, _place + _count)
     _place += _count
-#: Of the layers without deviations: what a renderer's film splats.
-_MEANS = [0, 1, 2, *(i for n in NAMES if not n.endswith("_std") for i in range(*_AT[n].indices(99)))]
+#: The layers without deviations, which come first: what a renderer's film splats.
+_MEANS = slice(0, max(_AT[n].stop for n in NAMES if not n.endswith("_std")))
 #: Share of the rows that get another texture, and another pattern of light.
 PAINTED, SHADED = 0.3, 0.3
 #: Levels that are merged at most.
@@ -154,8 +155,8 @@ class Residents:
             there = self.there[number]
             mean.addcmul_(planes, n[:, None, None, None])
             # the variance of one sample, weighted with the samples that tell it
-            weight = (n[:, None] * there).repeat_interleave(_SIZES, 1, output_size=PLANES - 3)
-            weight = F.pad(weight, (3, 0))[:, :, None, None] * n[:, None, None, None]
+            weight = F.pad((n[:, None] * there)[:, _layer_of(dev)], (3, 0))
+            weight = weight[:, :, None, None] * n[:, None, None, None]
             variance.addcmul_(planes * planes, weight)
             total += n
             told += n[:, None] * there
@@ -170,7 +171,18 @@ class Residents:
         return Rows(planes, known, target, total)
 
 
-_SIZES = torch.tensor([LAYERS[name] for name in NAMES])
+@functools.lru_cache(maxsize=8)
+def _layer_of(device: torch.device) -> Tensor:
+    """The number of the layer of each plane after the colour's."""
+    return torch.tensor([i for i, n in enumerate(NAMES) for _ in range(LAYERS[n])], device=device)
+
+
+@functools.lru_cache(maxsize=8)
+def _mask_of(device: torch.device) -> Tensor:
+    """The number of the mask of each layer."""
+    names = list(MASKS)
+    of = [next(i for i, n in enumerate(names) if layer in MASKS[n]) for layer in NAMES]
+    return torch.tensor(of, device=device)
 
 
 def batch_of(
@@ -207,10 +219,12 @@ def ready(
     colour = rows.planes[:, :3]
     d = divisor(torch, albedo)
     planes = encode(torch, Signals(colour, layers), 1.0)
-    keep = shown.repeat_interleave(_SIZES.to(shown.device), 1, output_size=PLANES - 3)
+    keep = shown[:, _layer_of(shown.device)]
     keep = F.pad(F.pad(keep, (3, 0), value=1.0), (0, planes.shape[1] - PLANES))
-    known = [shown[:, [NAMES.index(n) for n in of if n in NAMES]] for of in MASKS.values()]
-    flags = [part.amax(1) if part.shape[1] else torch.zeros_like(spp) for part in known]
+    flags = []
+    for of in MASKS.values():
+        parts = [shown[:, NAMES.index(n)] for n in of if n in NAMES]
+        flags.append(torch.stack(parts).amax(0) if parts else torch.zeros_like(spp))
     size = torch.where(spp > 0, torch.log2(spp.clamp_min(1)) / 10, 0.0)
     numbers = torch.stack([*flags, size, (spp > 0).float(), preference], 1)
     packed = pack(torch, planes * keep[:, :, None, None], numbers)
@@ -230,12 +244,11 @@ def turned(rows: Rows, rng: torch.Generator) -> Rows:
         both = torch.where(dice[:, axis - 2, None, None, None], both.flip(axis), both)
     both = torch.where(dice[:, 2, None, None, None], both.transpose(2, 3), both)
     rows = Rows(both[:, :PLANES], rows.there, both[:, PLANES:], rows.spp)
-    q, r = torch.linalg.qr(torch.randn(size, 3, 3, generator=rng, device=both.device))
-    q = q * r.diagonal(dim1=1, dim2=2).sign()[:, None]
+    q = _rotations(size, rng)
     turn = _random(size, 1, rng)[:, :, None] < 0.5
     q = torch.where(turn, q, torch.eye(3, device=q.device))
-    normal = rows.layer("normal")
-    rows.planes[:, _AT["normal"]] = torch.einsum("bij,bjhw->bihw", q, normal)
+    normal = rows.layer("normal").flatten(2)
+    rows.planes[:, _AT["normal"]] = torch.bmm(q, normal).unflatten(2, both.shape[2:])
     return rows
 
 
@@ -438,11 +451,22 @@ def without_some(rows: Rows, spp: Tensor, rng: torch.Generator) -> tuple[Tensor,
 # ------------------------------------------------------------------- private
 
 
+def _rotations(size: int, rng: torch.Generator) -> Tensor:
+    """Orthogonal 3x3 matrices, mirrors among them, uniform: unit quaternions (Shoemake 1992)."""
+    q = F.normalize(torch.randn(size, 4, generator=rng, device=rng.device), dim=1)
+    w, x, y, z = q.unbind(1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    found = torch.stack([torch.stack(row, 1) for row in rows], 1)
+    return found * torch.where(_random(size, 1, rng) < 0.5, 1.0, -1.0)[:, :, None]
+
+
 def _of_layers(masks: Tensor) -> Tensor:
     """Masks ``(B, len(MASKS))`` to layers ``(B, len(NAMES))``; no deviation without its layer."""
-    names = list(MASKS)
-    of = [next(i for i, n in enumerate(names) if layer in MASKS[n]) for layer in NAMES]
-    found = masks[:, of].clone()
+    found = masks[:, _mask_of(masks.device)]
     for guide in ("albedo", "normal", "depth"):
         found[:, NAMES.index(f"{guide}_std")] *= found[:, NAMES.index(guide)]
     return found
