@@ -115,7 +115,8 @@ def train(
         try:
             done = run_training(
                 chosen, run, output=output, overwrite=overwrite, start=start, steps=steps,
-                seconds=minutes and minutes * 60, device=device, progress=progress.report, after_check=page,
+                seconds=minutes and minutes * 60, device=device, progress=progress.report,
+                after_check=page,
             )  # fmt: skip
         except KeyboardInterrupt:
             place = run if run is not None else run_folder(chosen)

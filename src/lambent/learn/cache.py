@@ -136,7 +136,11 @@ def stills_of(
             "the recipe names no data",
             remedy='add a line: data = ["FOLDER"], made by lambent dataset make',
         )
-    return [still for folder in recipe.data for still in cached(Path(folder), place, progress, unpack=unpack)]
+    return [
+        still
+        for folder in recipe.data
+        for still in cached(Path(folder), place, progress, unpack=unpack)
+    ]
 
 
 # ------------------------------------------------------------------- private

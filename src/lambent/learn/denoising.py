@@ -179,7 +179,9 @@ class DenoisingTask:
         if self._place is not None and time.monotonic() - self._looked > LOOK_EVERY:
             self._looked = time.monotonic()
             stills = stills_of(self.recipe, self._place, unpack=False)
-            self._residents.add([s for s in stills if not is_held_out(s.scene, self.recipe.held_out)])
+            self._residents.add(
+                [s for s in stills if not is_held_out(s.scene, self.recipe.held_out)]
+            )
         packed, *rest = batch_of(self._residents, self.recipe.seed, step, size, rank)
         return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
 

@@ -142,7 +142,7 @@ def train(
         task.device = here.device.type
     if here.device.type == "cuda":
         torch.backends.cudnn.benchmark = True  # batches are all of one shape
-    model = task.network().to(here.device, memory_format=torch.channels_last)
+    model = task.network().to(here.device).to(memory_format=torch.channels_last)
     if start is not None:
         _begin_with(model, start)
     mean = {name: p.detach().clone() for name, p in model.state_dict().items()}
@@ -324,7 +324,7 @@ def _check(
     log: _Log,
 ) -> float:
     """Validate the mean weights; keep them if they are the best so far."""
-    model = task.network().to(device, memory_format=torch.channels_last)
+    model = task.network().to(device).to(memory_format=torch.channels_last)
     model.load_state_dict(dict(mean))
     model.eval()
     scores, pictures = task.score(model, device)
@@ -405,7 +405,12 @@ class _Log:
             self._board = SummaryWriter(str(run.folder / "tensorboard"), purge_step=step)
 
     def add(
-        self, step: int, loss: torch.Tensor, terms: Mapping[str, Any], norm: torch.Tensor, rate: float
+        self,
+        step: int,
+        loss: torch.Tensor,
+        terms: Mapping[str, Any],
+        norm: torch.Tensor,
+        rate: float,
     ) -> None:
         """Take a step into the means; write them now and then."""
         for name, value in {"loss": loss, **terms}.items():

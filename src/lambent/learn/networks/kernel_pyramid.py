@@ -163,7 +163,7 @@ class _GatherUp(torch.autograd.Function):
         padded = F.pad(coarse, (1, 1, 1, 1))
         v = weights.reshape(b, 1, COARSE, h, 2, w, 2)
         g = grad.reshape(b, c, h, 2, w, 2)
-        to_weights = torch.empty(b, COARSE, h, 2, w, 2)
+        to_weights = weights.new_empty(b, COARSE, h, 2, w, 2)
         to_padded = torch.zeros_like(padded)
         for k in range(COARSE):
             y, x = divmod(k, 3)

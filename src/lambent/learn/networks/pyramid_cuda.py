@@ -9,9 +9,10 @@ weights are made again in the gradients from the logits and ln Σ exp, which alo
     ∂/∂z(p, k) = w(p, k) (g(p) · t_k(p) - g(p) · o(p))
     ∂/∂c(q)    = Σ over the p whose window holds q of w(p, q) g(p)
 
-with t_k(p) the value that tap k of p looks at (its own level, or the coarser one) and g the gradient
-of the output. The last is written as a sum over p, so nothing is added from two sides at once.
+with t_k(p) the value that tap k of p looks at (its own level, or the coarser one) and g the
+gradient of the output. The last is written as a sum over p, so nothing is added from two sides.
 """
+# mypy: disallow_untyped_defs=False
 
 from __future__ import annotations
 

@@ -64,6 +64,10 @@ def _look(dice: Dice, scene: Any) -> None:
     cycles.diffuse_bounces = cycles.glossy_bounces = cycles.max_bounces
     cycles.transmission_bounces = cycles.transparent_max_bounces = 12
     cycles.volume_bounces = dice.pick((0, 1, 2))
+    if hasattr(cycles, "volume_biased"):
+        # Blender 5 samples clouds without bias by an octree, which it makes again for each picture:
+        # 4 s where the samples take 0.2 s
+        cycles.volume_biased = True
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = dice.chance(0.75)
     cycles.blur_glossy = dice.pick((0.0, 0.0, 1.0))
