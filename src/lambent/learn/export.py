@@ -1,8 +1,9 @@
 """A trained network as a model file, in half floats or int8.
 
-For int8 `export` inserts what NNCF measures on training crops (post-training quantisation:
-symmetric weights a channel, activations a tensor); `float_weights` reads it back, so that
-fine-tuning can begin with a shipped model.
+A network that was trained in int8 (`networks.rounded`) is written with the steps that it learned.
+For any other, int8 is what NNCF measures on training crops (post-training quantisation: symmetric
+weights a channel, activations a tensor). `float_weights` reads both back, so that fine-tuning can
+begin with a shipped model.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import contextlib
 import io
 import json
 import logging
+import math
 import tempfile
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,6 +28,7 @@ from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.loop import Run
+from lambent.learn.networks.rounded import HIGHEST, RoundedNet, step_after
 from lambent.learn.task import Exportable, ShippedTask
 
 
@@ -48,7 +51,8 @@ def export(
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         network, weights = _converted(model, examples, half, inputs)
-    write_model(path, {**card, "int8": examples is not None}, network, weights, overwrite)
+    int8 = examples is not None or isinstance(model, RoundedNet)
+    write_model(path, {**card, "int8": int8}, network, weights, overwrite)
 
 
 def _converted(
@@ -146,11 +150,12 @@ def cost_of(ready: Exportable) -> dict[str, int]:
     return {"parameters": weights, "macs": round(macs / pixels)}
 
 
-def float_weights(model: str) -> dict[str, torch.Tensor]:
+def float_weights(model: str, steps: bool = False) -> dict[str, torch.Tensor]:
     """The weights of a model file as float tensors, by the names of `networks.lambent`.
 
     Of an int8 model, each is its number times its channel's scale: what the network computes with.
-    Raises `FileError`.
+    With ``steps``, those of its activations too, as `networks.rounded` names them. Raises
+    `FileError`.
     """
     import openvino as ov
 
@@ -158,6 +163,11 @@ def float_weights(model: str) -> dict[str, torch.Tensor]:
     graph = ov.Core().read_model(file.network, file.weights)
     found: dict[str, torch.Tensor] = {}
     for op in graph.get_ordered_ops():
+        if steps and op.get_type_name() == "FakeQuantize":
+            name = step_after(_source(op))
+            top = float(np.asarray(op.input_value(2).get_node().data).reshape(-1)[0])
+            levels = HIGHEST[name == "input"]
+            found[f"steps.{name}"] = torch.tensor(math.log(top / levels))
         if op.get_type_name() != "Convolution":
             continue
         name = op.get_friendly_name().removeprefix("__module.").split("/")[0]
@@ -188,7 +198,7 @@ def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[
     if len(models) < 2:
         raise OptionError("a mean needs two models or more")
     files = [read_model(find_model(model)) for model in models]
-    weights = [float_weights(model) for model in models]
+    weights = [float_weights(model, steps=True) for model in models]
     shapes = [{k: tuple(v.shape) for k, v in w.items()} for w in weights]
     if any(shape != shapes[0] for shape in shapes):
         raise OptionError(
@@ -201,7 +211,8 @@ def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[
         {k: file.card.get(k) for k in ("name", "recipe", "step", "hours", "score", "data")}
         for file in files
     ]
-    model = LambentNet(first.get("recipe", {}).get("size", "default"))
+    kind = RoundedNet if "steps.input" in weights[0] else LambentNet
+    model = kind(first.get("recipe", {}).get("size", "default"))
     model.load_state_dict({k: sum(w[k] for w in weights) / len(weights) for k in weights[0]})
     card = {**first, "averaged": parts}
     export(model, path, card, None, overwrite, half=True)
@@ -209,6 +220,15 @@ def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[
 
 
 # ------------------------------------------------------------------- private
+
+
+def _source(op: Any) -> str | None:
+    """The convolution that an operation's values come from; None: the input."""
+    while op.get_type_name() not in ("Convolution", "Parameter"):
+        op = op.input_value(0).get_node()
+    if op.get_type_name() == "Parameter":
+        return None
+    return str(op.get_friendly_name().removeprefix("__module.").split("/")[0])
 
 
 def _value(node: Any) -> FloatImage:

@@ -37,6 +37,7 @@ from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
 from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
+from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
@@ -79,8 +80,9 @@ def finetune(
     """
     pairs = [pair for path in paths if SUFFIX not in path.name for pair in pairs_of(path)]
     card = dict(read_model(find_model(start), "signals").card)
-    weights = float_weights(start)
-    task = FinetuneTask(pairs, str(card.get("recipe", {}).get("size", "default")))
+    weights = float_weights(start, steps=True)
+    size = str(card.get("recipe", {}).get("size", "default"))
+    task = FinetuneTask(pairs, size, int8="steps.input" in weights)
     recipe = TrainRecipe(
         name="finetuned", batch=BATCH, rate=RATE, warmup=20, decay=0.99, check_every=200,
         steps=1 << 20, last_rate=0.05,
@@ -136,14 +138,14 @@ def pairs_of(path: Path) -> list[Pair]:
 class FinetuneTask:
     """Crops of a few frames: a `learn.task.Task`."""
 
-    def __init__(self, pairs: Sequence[Pair], size: str) -> None:
+    def __init__(self, pairs: Sequence[Pair], size: str, int8: bool = False) -> None:
         self.pairs = [p for p in pairs if min(p.target.shape[1:]) >= CROP]
         if not self.pairs:
             raise OptionError(
                 "there is nothing to learn from",
                 remedy=f"give frames of at least {CROP}x{CROP} pixels",
             )
-        self.size = size
+        self.size, self.int8 = size, int8
         self._held = [
             (n, y, x)
             for n, pair in enumerate(self.pairs)
@@ -153,7 +155,7 @@ class FinetuneTask:
 
     def network(self) -> nn.Module:
         """The network; with little data only its first layers learn."""
-        model = LambentNet(self.size)
+        model = RoundedNet(self.size) if self.int8 else LambentNet(self.size)
         if sum(p.target[0].size for p in self.pairs) < LITTLE:
             for name, parameter in model.named_parameters():
                 parameter.requires_grad = name.split(".")[0] in FIRST

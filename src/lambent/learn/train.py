@@ -66,7 +66,7 @@ def _weights(start: str) -> dict[str, Tensor]:
     """Of a model by name or path, or of the folder of a run. Raises `FileError`."""
     if Path(start).is_dir():
         return Run(Path(start)).weights()
-    return float_weights(start)
+    return float_weights(start, steps=True)
 
 
 def run_folder(recipe: TrainRecipe) -> Path:

@@ -24,8 +24,17 @@ NAMES = (
     "input", "stem", "at_half", "down1", "at_quarter", "down2", "at_eighth", "down3", "enc3a",
     "dec2a", "dec1a", "dec0a", "dec0b",
 )  # fmt: skip
+#: The largest integers of an activation, and of the input.
+HIGHEST = (255, 127)
 #: Where the range of an activation begins: so much of what is measured lies within.
 WITHIN = 0.9999
+
+
+def step_after(conv: str | None) -> str:
+    """The name of the step that the output of a convolution is rounded to; of the input: None."""
+    joined = {"enc0": "at_half", "dec1b": "at_half", "enc1": "at_quarter", "dec2b": "at_quarter"}
+    joined |= {"enc2": "at_eighth", "enc3b": "at_eighth"}
+    return "input" if conv is None else joined.get(conv, conv)
 
 
 class RoundedConv(nn.Conv2d):
@@ -80,7 +89,7 @@ class RoundedNet(LambentNet):
         for part in packed.split(8):
             self(part)
         for name, top in self._seen.items():
-            levels = 127 if name == "input" else 255
+            levels = HIGHEST[name == "input"]
             self.steps[name].copy_(torch.log(top.clamp_min(1e-6) / levels))
         self._seen = None
 

@@ -1,0 +1,205 @@
+"""Batches made on the device: the same augmentation as row by row, and the two that are new."""
+
+import os
+import subprocess
+import sys
+
+import made
+import numpy as np
+import pytest
+import torch
+from made import few_threads  # noqa: F401
+
+from lambent.learn import resident, splat
+from lambent.learn.augment import Example, merged
+from lambent.learn.batches import ready
+from lambent.learn.denoising import DenoisingTask
+from lambent.learn.loop import train
+from lambent.learn.recipe import TrainRecipe
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def stills(tmp_path):
+    return made.stills(tmp_path)
+
+
+@pytest.fixture
+def rows(stills):
+    return resident.Residents(stills, CPU).rows(8, torch.Generator().manual_seed(1))
+
+
+def dice(value):
+    """In place of `resident._random`: every die shows the same."""
+    return lambda size, count, rng: torch.full((size, count), float(value))
+
+
+@pytest.mark.parametrize("merge", [True, False])
+def test_drawing_and_encoding_are_those_of_a_single_row(stills, monkeypatch, merge):
+    monkeypatch.setattr(resident, "_random", dice(0.0 if merge else 1.0))
+    residents = resident.Residents(stills, CPU)
+    rows = residents.rows(6, torch.Generator().manual_seed(3))
+    drawn = torch.multinomial(
+        residents.chance, 6, replacement=True, generator=torch.Generator().manual_seed(3)
+    )
+    masks = torch.ones(6, len(resident.MASKS))
+    packed, colour, divisor, target, deviation, _ = resident.ready(
+        rows, masks, rows.spp, torch.zeros(6)
+    )
+    for i, number in enumerate(drawn.tolist()):
+        still = int(residents.still[number])
+        levels, wanted, noise = stills[still].load()
+        own = levels[number - int(residents.first[still])]
+        signals = merged(levels if merge else [own])
+        assert float(rows.spp[i]) == pytest.approx(signals.spp)
+        one = ready(Example(signals, wanted, noise), 0.0, signals.spp)
+        np.testing.assert_allclose(packed[i].numpy(), one.packed, atol=2e-5)
+        np.testing.assert_allclose(colour[i].numpy(), one.colour, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(divisor[i].numpy(), one.divisor, atol=1e-5)
+        np.testing.assert_array_equal(target[i].numpy(), one.target)
+        np.testing.assert_array_equal(deviation[i].numpy(), one.deviation)
+
+
+def test_more_can_be_brought_in(stills):
+    residents = resident.Residents(stills[:2], CPU)
+    assert residents.add(stills) == 2
+    assert residents.add(stills) == 0
+    whole = resident.Residents(stills, CPU)
+    assert len(residents) == len(whole) == 4
+    torch.testing.assert_close(residents.levels, whole.levels)
+    torch.testing.assert_close(residents.chance, whole.chance)
+
+
+def test_batches_follow_from_seed_and_step(stills):
+    residents = resident.Residents(stills, CPU)
+    a, b, c = (resident.batch_of(residents, 1, step, 4) for step in (5, 5, 6))
+    assert all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
+    assert not torch.equal(a[0], c[0])
+    assert all(bool(torch.isfinite(part).all()) for part in a)
+
+
+def test_turning_keeps_normals_of_unit_length(rows):
+    before = rows.layer("normal").norm(dim=1).mean()
+    light = rows.target.sum((2, 3))
+    turned = resident.turned(rows, torch.Generator().manual_seed(2))
+    assert float(turned.layer("normal").norm(dim=1).mean()) == pytest.approx(float(before))
+    torch.testing.assert_close(turned.target.sum((2, 3)), light)
+    q = resident._rotations(64, torch.Generator().manual_seed(0))
+    eye = torch.eye(3).expand(64, 3, 3)
+    torch.testing.assert_close(q @ q.mT, eye, atol=1e-5, rtol=0)
+    assert {round(float(d)) for d in torch.linalg.det(q)} == {-1, 1}
+
+
+def test_paint_is_in_albedo_and_light_alike(rows):
+    light = rows.target[:, :3] / rows.layer("albedo").clamp_min(1e-3)
+    albedo = rows.layer("albedo").clone()
+    resident.painted(rows, torch.Generator().manual_seed(2))
+    again = rows.target[:, :3] / rows.layer("albedo").clamp_min(1e-3)
+    torch.testing.assert_close(light, again, rtol=1e-3, atol=1e-3)
+    assert float((rows.layer("albedo") - albedo).abs().mean()) > 0.02
+
+
+def test_shadows_are_in_the_light_alone(rows):
+    planes, target = rows.planes.clone(), rows.target.clone()
+    resident.shaded(rows, torch.Generator().manual_seed(4))
+    torch.testing.assert_close(rows.planes[:, 3:11], planes[:, 3:11], rtol=0, atol=0)
+    gain = rows.target[:, :3] / target[:, :3].clamp_min(1e-4)
+    noisy = rows.planes[:, :3] / planes[:, :3].clamp_min(1e-4)
+    lit = (target[:, :3] > 1e-2) & (planes[:, :3] > 1e-2)
+    torch.testing.assert_close(gain[lit], noisy[lit], rtol=1e-3, atol=1e-3)
+    assert float(gain[lit].std()) > 0.1
+
+
+def test_patterns_have_edges_soft_and_sharp():
+    found = resident.pattern(64, 64, 64, torch.Generator().manual_seed(0))
+    assert found.shape == (64, 1, 64, 64)
+    assert 0 <= float(found.min()) < 0.01
+    assert 0.99 < float(found.max()) <= 1
+    steepest = (found[..., 1:] - found[..., :-1]).abs().amax((1, 2, 3))
+    assert float(steepest.min()) < 0.2
+    assert float(steepest.max()) > 0.7
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_splatting_is_that_of_a_single_row(rows, monkeypatch, kind):
+    monkeypatch.setattr(resident, "_random", dice((kind + 0.5) / 3))
+    target, means = rows.target.clone(), rows.planes[:, :11].mean((0, 2, 3))
+    resident.filtered(rows, torch.Generator().manual_seed(1))
+    for i in range(len(target)):
+        wanted = splat.expected(target[i].numpy(), splat.FILTERS[kind])
+        wanted[3:] = np.maximum(wanted[3:], 0)
+        np.testing.assert_allclose(rows.target[i].numpy(), wanted, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(rows.planes[:, :11].mean((0, 2, 3)), means, rtol=0.05, atol=0.01)
+    there = dict(zip(resident.NAMES, rows.there[0].tolist(), strict=True))
+    assert there["albedo"] == 1
+    assert there["colour_std"] == 0
+
+
+def test_lamps_stand_still(rows, monkeypatch):
+    monkeypatch.setattr(resident.lamps, "MOST", 1)
+    before = rows.target.clone()
+    resident.lit(rows, torch.Generator().manual_seed(3))
+    changed = (rows.target[:, :3] - before[:, :3]).abs().amax(1)
+    noisy = rows.planes[:, :3].amax(1)
+    full = rows.target[:, 3] < 1e-6 * before[:, 3].clamp_min(1e-9)  # nothing but the lamp is seen
+    full &= changed > 0.1
+    assert int(full.sum()) > 20
+    ratio = noisy[full] / rows.target[:, :3].amax(1)[full]
+    torch.testing.assert_close(ratio, torch.ones_like(ratio), rtol=1e-3, atol=1e-3)
+
+
+def test_layers_are_kept_as_often_as_row_by_row():
+    class Some:
+        planes = torch.zeros(4000, 1)
+
+    masks, spp = resident.without_some(Some, torch.ones(4000), torch.Generator().manual_seed(0))
+    whole, none = masks.all(1).float().mean(), (masks == 0).all(1).float().mean()
+    assert float(whole) == pytest.approx(0.4 + 0.25 * 0.6**7, abs=0.03)
+    assert float(none) == pytest.approx(0.15, abs=0.03)
+    assert float((spp == 0).float().mean()) == pytest.approx(0.3, abs=0.03)
+
+
+def test_a_resident_run_resumes(tmp_path):
+    recipe = TrainRecipe(
+        name="resident", size="fast", steps=4, batch=2, warmup=1, check_every=4, checked=2,
+        held_out=0.0, options={"resident": True},
+    )  # fmt: skip
+    task = DenoisingTask(recipe, made.stills(tmp_path))
+    whole = train(recipe, task, tmp_path / "whole", "cpu").weights()
+    for steps in (2, 4):
+        pieces = train(recipe, task, tmp_path / "pieces", "cpu", steps=steps)
+    assert all(torch.equal(whole[name], value) for name, value in pieces.weights().items())
+
+
+INTERPRETED = """
+import torch
+from lambent.learn.networks import kernel_pyramid as plain, pyramid_cuda as triton
+plain.available = lambda: False
+torch.manual_seed(0)
+for packed, above, (h, w) in ((True, True, (8, 12)), (False, True, (6, 4)), (False, False, (4, 4))):
+    count = (144 if packed else 35) if above else 25
+    z = torch.randn(2, count, h // 2 if packed else h, w // 2 if packed else w)
+    z = z.to(memory_format=torch.channels_last)
+    image, coarse = torch.rand(2, 6, h, w), torch.rand(2, 6, h // 2, w // 2) if above else None
+    found = []
+    for average in (plain._average, triton.average):
+        a, b = z.clone().requires_grad_(), image.clone().requires_grad_()
+        c = coarse.clone().requires_grad_() if above else None
+        out = average(a, b, c, packed)
+        (out * torch.arange(out.numel()).reshape(out.shape).sin()).sum().backward()
+        found.append([out.detach(), a.grad, b.grad, *([c.grad] if above else [])])
+    for one, two in zip(*found):
+        torch.testing.assert_close(one, two, atol=1e-5, rtol=1e-4)
+print("alike")
+"""
+
+
+def test_the_kernels_for_cuda_are_the_plain_tensors():
+    pytest.importorskip("triton")
+    environment = {**os.environ, "TRITON_INTERPRET": "1"}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", INTERPRETED],
+        capture_output=True, text=True, env=environment, timeout=300,
+    )  # fmt: skip
+    assert done.stdout.strip() == "alike", done.stderr[-2000:]
