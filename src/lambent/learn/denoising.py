@@ -123,6 +123,7 @@ class DenoisingTask:
         self._yardstick: dict[str, float] | None = None
         self._residents: Residents | None = None
         self._place: Path | None = None
+        self._follower: Follower | None = None
         self._looked = 0.0
 
     device = "cpu"
@@ -154,6 +155,11 @@ class DenoisingTask:
         """Take in what is added to the data from now on, and unpacked below ``place``."""
         self._place = place
         self._follower = Follower(self.recipe.data, place, max(1, (os.cpu_count() or 1) // 4))
+
+    def close(self) -> None:
+        """Stop following the data."""
+        if self._follower is not None:
+            self._follower.close()
 
     def batches(self, first: int, rank: int, world: int) -> Iterator[Any]:
         """This process's share of each batch: rows, or its number where batches are made later."""

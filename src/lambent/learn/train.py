@@ -53,10 +53,15 @@ def train(
     weights = None if start is None else _weights(start)
     if hasattr(task, "started") and not Run(folder).state.exists():
         weights = task.started(weights)
-    done = run_loop(
-        chosen, task, folder, device, start=weights, steps=steps, seconds=seconds,
-        progress=progress, after_check=after_check,
-    )  # fmt: skip
+    try:
+        done = run_loop(
+            chosen, task, folder, device, start=weights, steps=steps, seconds=seconds,
+            progress=progress, after_check=after_check,
+        )  # fmt: skip
+    finally:
+        close = getattr(task, "close", None)
+        if close is not None:
+            close()
     if output is not None:
         export_run(done, task, Path(output), overwrite)
     return done
