@@ -183,7 +183,7 @@ for packed, above, (h, w) in ((True, True, (8, 12)), (False, True, (6, 4)), (Fal
     z = z.to(memory_format=torch.channels_last)
     image, coarse = torch.rand(2, 6, h, w), torch.rand(2, 6, h // 2, w // 2) if above else None
     found = []
-    for average in (plain._average, triton.average):
+    for average in (plain.average, triton.average):
         a, b = z.clone().requires_grad_(), image.clone().requires_grad_()
         c = coarse.clone().requires_grad_() if above else None
         out = average(a, b, c, packed)

@@ -26,6 +26,7 @@ from lambent.denoise.inputs import (
     Signals,
     albedo_of,
     constants,
+    divisor,
     typical_depth,
 )
 from lambent.filters.features import variance_of
@@ -88,6 +89,14 @@ class Given:
     def has(self, name: str) -> bool:
         """Whether there is that layer."""
         return name in self.arrays
+
+    def divisor(self) -> FloatImage | None:
+        """What colours are divided by ``(H, W, 3)``; None without an albedo."""
+        if not self.has("albedo"):
+            return None
+        array, channels = self.arrays["albedo"]
+        albedo = array.reshape(self.height, self.width, channels)[:, :, :3]
+        return np.asarray(divisor(np, np.nan_to_num(albedo, nan=0, posinf=0, neginf=0)), np.float32)
 
     def masks(self) -> Signals:
         """Signals without pixels: what `inputs.constants` looks at."""

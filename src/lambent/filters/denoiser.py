@@ -221,6 +221,8 @@ DENOISERS = Registry(
     "model",
     {
         "lambent": "lambent.denoise.learned:Lambent",
+        "lambent-fast": "lambent.denoise.learned:LambentFast",
+        "lambent-best": "lambent.denoise.learned:LambentBest",
         "kpcn": "lambent.denoise.papers:KPCN",
         "dpcn": "lambent.denoise.papers:DPCN",
         "modular": "lambent.denoise.papers:Modular",

@@ -57,7 +57,8 @@ def levels_of(images: FloatImage, masked: bool = True) -> list[Level]:
 def average(
     logits: FloatImage, own: Sequence[Level], coarse: Sequence[Level] | None
 ) -> list[Level]:
-    """The levels filtered with ``logits`` (from `with_room`)."""
+    """The levels filtered with ``logits`` (from `with_room`); channels in threes."""
+    assert own[0].channels % 3 == 0
     packed = is_packed(logits, own[0])
     kernel = _gather_kernel(packed, coarse is not None, short=False)
     outs = [Level.empty(level.channels, level.height, level.width) for level in own]

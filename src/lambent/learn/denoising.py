@@ -199,7 +199,8 @@ class DenoisingTask:
     def says(self, scores: Mapping[str, float]) -> str:
         """For the card: the score in words."""
         whose = "OIDN High's" if "full relmse/oidn" in scores else "the noisy input's"
-        return f"{scores['score']:.3f} of {whose} error on held-out crops of its own data"
+        which = "held-out crops of its own data" if self.recipe.held_out else "crops it has seen"
+        return f"{scores['score']:.3f} of {whose} error on {which}"
 
     def calibration(self) -> list[FloatImage]:
         """Packed inputs to measure the ranges of activations on: training rows as they come."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import logging
 import math
 import tempfile
@@ -99,24 +98,17 @@ def export_run(
     model = task.network()
     model.load_state_dict(run.weights())
     ready = task.exportable(model.eval())
-    about = json.loads((run.folder / "run.json").read_text(encoding="utf-8"))
-    best = min((ln for ln in run.lines() if "check" in ln), key=lambda ln: ln["check"]["score"])
-    recipe = run.recipe()
-    recipe["data"] = [Path(folder).name for folder in recipe["data"]]
+    told = run.told()
     card = {
-        "name": recipe["name"],
-        "recipe": recipe,
-        "step": best["step"],
-        "hours": round(about["seconds"] / 3600, 2),
-        "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},
-        "score": best["check"],
-        "score_says": task.says(best["check"]),
+        **told,
+        "score_says": task.says(told["score"]),
         "reads": ready.reads,
         **cost_of(ready),
         **ready.about,
-        "curve": [[ln["step"], ln["check"]["score"]] for ln in run.lines() if "check" in ln],
         "data": task.about_data(),
     }
+    if before := run.before():
+        card["begun_with"] = before
     examples = task.calibration() if int8 else None
     export(ready.network, path, card, examples, overwrite, not int8, ready.examples)
     return card

@@ -73,6 +73,40 @@ class Run:
         """What has happened, a JSON object a line."""
         return self.folder / "log.jsonl"
 
+    @property
+    def begun(self) -> Path:
+        """What the first weights were, where they were not random: the runs before, oldest first.
+
+        A JSON list of objects with the keys of `told`.
+        """
+        return self.folder / "begun_with.json"
+
+    def before(self) -> list[dict[str, Any]]:
+        """What is in `begun`; nothing if the run began with random weights."""
+        found = json.loads(self.begun.read_text("utf-8")) if self.begun.exists() else []
+        assert isinstance(found, list)
+        return found
+
+    def told(self) -> dict[str, Any]:
+        """What a card says of a run: recipe, hours, machine, best step and score, the curve.
+
+        Raises `FileError` where there is no run, `ValueError` before the first validation.
+        """
+        recipe = self.recipe()
+        recipe["data"] = [Path(folder).name for folder in recipe["data"]]
+        about = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
+        checks = [ln for ln in self.lines() if "check" in ln]
+        best = min(checks, key=lambda ln: ln["check"]["score"])
+        return {
+            "name": recipe["name"],
+            "recipe": recipe,
+            "step": best["step"],
+            "hours": round(about["seconds"] / 3600, 2),
+            "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},
+            "score": best["check"],
+            "curve": [[ln["step"], ln["check"]["score"]] for ln in checks],
+        }
+
     def lines(self) -> list[dict[str, Any]]:
         """The log; a last line that was cut off is left out."""
         found = []

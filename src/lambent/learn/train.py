@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from torch import Tensor
 
-from lambent.frame.atomic import check_target
+from lambent.denoise.model_file import find_model, read_model
+from lambent.frame.atomic import atomic, check_target
 from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
 from lambent.learn.loop import Progress, Run
@@ -51,6 +54,10 @@ def train(
     task = make_task(chosen, cache_folder() / "training", progress)
     folder = Path(run) if run is not None else run_folder(chosen)
     weights = None if start is None else _weights(start)
+    if start is not None and not Run(folder).state.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic(Run(folder).begun, overwrite=True) as handle:
+            handle.write(json.dumps(story(start), indent=1).encode())
     if hasattr(task, "started") and not Run(folder).state.exists():
         weights = task.started(weights)
     try:
@@ -72,6 +79,19 @@ def _weights(start: str) -> dict[str, Tensor]:
     if Path(start).is_dir():
         return Run(Path(start)).weights()
     return float_weights(start, steps=True)
+
+
+def story(start: str) -> list[dict[str, Any]]:
+    """How the weights of a model, by name or path, or of a run's folder came about, oldest first.
+
+    Raises `FileError`.
+    """
+    if Path(start).is_dir():
+        run = Run(Path(start))
+        return [*run.before(), run.told()]
+    card = read_model(find_model(start)).card
+    keys = ("name", "recipe", "step", "hours", "trained_with", "score", "curve", "data", "averaged")
+    return [*card.get("begun_with", []), {k: card[k] for k in keys if k in card}]
 
 
 def run_folder(recipe: TrainRecipe) -> Path:

@@ -52,18 +52,23 @@ def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
         images.append(_down(images[-1], logits[level], packed=level == 0))
     out: Tensor | None = None
     for level in range(len(logits) - 1, -1, -1):
-        out = _average(logits[level], images[level], out, packed=level == 0)
+        out = average(logits[level], images[level], out, packed=level == 0)
     assert out is not None
     return out
 
 
-def _average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:
+def average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:
     """(2) and (3), by compiled kernels where there are any."""
     if image.device.type == "cuda" and (triton := _triton()) is not None:
         return triton.average(logits, image, coarse, packed)
     logits = logits.float()
     if image.device.type == "cpu" and available():
-        return _Average.apply(logits, image, coarse)
+        channels = image.shape[1]
+        if lacking := -channels % 3:  # the compiled loops take three planes at a time
+            more = (0, 0, 0, 0, 0, lacking)
+            image, coarse = F.pad(image, more), None if coarse is None else F.pad(coarse, more)
+        out: Tensor = _Average.apply(logits, image, coarse)
+        return out[:, :channels]
     if packed:
         logits = F.pixel_shuffle(logits, 2)
     count = OWN if coarse is None else OWN + COARSE
@@ -75,13 +80,7 @@ def _average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool)
 def _down(image: Tensor, logits: Tensor, packed: bool) -> Tensor:
     """(1)"""
     b, c, h, w = image.shape
-    first = OWN + COARSE
-    if packed:
-        u = logits[:, 4 * first : 4 * first + 4].reshape(b, 1, 2, 2, h // 2, w // 2)
-        u = u.permute(0, 1, 4, 2, 5, 3)
-    else:
-        u = logits[:, first : first + 1].reshape(b, 1, h // 2, 2, w // 2, 2)
-    u = u.float()
+    u = cells(logits, packed)
     e = torch.exp(u - u.amax((3, 5), keepdim=True))
     e = e / e.sum((3, 5), keepdim=True)
     return (image.reshape(b, c, h // 2, 2, w // 2, 2) * e).sum((3, 5))
@@ -94,6 +93,16 @@ def _triton() -> ModuleType | None:
         return importlib.import_module("lambent.learn.networks.pyramid_cuda")
     except ImportError:
         return None
+
+
+def cells(logits: Tensor, packed: bool) -> Tensor:
+    """The logits u of a level, the 2x2 pixels under each coarser one ``(B, 1, H/2, 2, W/2, 2)``."""
+    first = OWN + COARSE
+    b, _, h, w = logits.shape
+    if packed:
+        u = logits[:, 4 * first : 4 * first + 4].reshape(b, 1, 2, 2, h, w)
+        return u.permute(0, 1, 4, 2, 5, 3).float()
+    return logits[:, first : first + 1].reshape(b, 1, h // 2, 2, w // 2, 2).float()
 
 
 def _softmax(logits: Tensor) -> Tensor:

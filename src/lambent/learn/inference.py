@@ -1,0 +1,109 @@
+"""Our own network on an NVIDIA GPU, at run time: `denoise.learned` finds this by its name.
+
+The same steps as on the processor (`denoise.prepare`, `denoise.runtime`, `kernels.pyramid`), with
+PyTorch in place of OpenVINO and the filter of training in place of the compiled loops. PyTorch is
+imported in this room alone, so the base product does not know this module.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from lambent.errors import EngineError
+from lambent.frame.layer import FloatImage
+from lambent.kernels.pyramid import TINY
+from lambent.learn.export import float_weights
+from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells
+from lambent.learn.networks.lambent import WIDTHS, LambentNet
+
+
+@functools.lru_cache(maxsize=4)
+def network(model: str, device: str) -> LambentNet:
+    """The network of a model file on a device. Raises `FileError`, `EngineError`."""
+    if device == "cuda" and not torch.cuda.is_available():
+        raise EngineError(
+            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
+        )
+    weights = float_weights(model)
+    size = next(n for n, widths in WIDTHS.items() if widths[0] == len(weights["stem.weight"])
+                and widths[-1] == len(weights["enc3b.weight"]))  # fmt: skip
+    found = LambentNet(size)
+    found.load_state_dict(weights)
+    return found.eval().to(device).to(memory_format=torch.channels_last)
+
+
+@torch.no_grad()
+def filtered(
+    model: str,
+    packed: FloatImage,
+    images: Sequence[FloatImage],
+    divisors: Sequence[FloatImage | None],
+    device: str,
+) -> list[FloatImage]:
+    """Images ``(H, W, C)``, C up to 3, filtered; of those with a divisor ``(H, W, C)`` also the
+    quotient, and both put together by the gate.
+
+    ``packed``: `denoise.prepare.packed_inputs`, H and W padded to multiples of 32. What is not
+    finite counts as 0.
+    """
+    net = network(model, device)
+    inputs = torch.from_numpy(packed).to(device).contiguous(memory_format=torch.channels_last)
+    with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
+        logits = net(inputs)
+    height, width = images[0].shape[:2]
+    room = (0, 2 * packed.shape[3] - width, 0, 2 * packed.shape[2] - height)
+    mask = F.pad(torch.ones(1, 1, height, width, device=device), room)
+    gate = torch.sigmoid(F.pixel_shuffle(logits[0][:, 4 * LOGITS :].float(), 2))
+    found = []
+    for image, divisor in zip(images, divisors, strict=True):
+        c = torch.nan_to_num(_planes(image, device), 0, 0, 0)
+        if divisor is None:
+            out = masked(logits, F.pad(c, room), mask)
+        else:
+            d = _planes(divisor, device)
+            both = masked(logits, F.pad(torch.cat([c / d, c], 1), room), mask)
+            n, d = c.shape[1], F.pad(d, room, value=1.0)
+            out = gate * d * both[:, :n] + (1 - gate) * both[:, n:]
+        out = out[0, :, :height, :width].permute(1, 2, 0)
+        found.append(np.ascontiguousarray(out.cpu().numpy()))
+    return found
+
+
+def masked(logits: Sequence[Tensor], image: Tensor, mask: Tensor) -> Tensor:
+    """`kernel_pyramid.apply` where only part of the pixels are there, as `kernels.pyramid` does it.
+
+    ``mask`` ``(1, 1, H, W)``: 1 where there is a pixel. Weights over all taps, then divided by the
+    sum of those that are there.
+    """
+    images, masks = [image * mask], [mask]
+    for number, level in enumerate(logits[:-1]):
+        u = cells(level, packed=number == 0)
+        e = torch.exp(u - u.amax((3, 5), keepdim=True)) * _folded(masks[-1])
+        total = e.sum((3, 5)) + TINY
+        images.append((_folded(images[-1]) * e).sum((3, 5)) / total)
+        masks.append(F.max_pool2d(masks[-1], 2))
+    out: Tensor | None = None
+    for number in range(len(logits) - 1, -1, -1):
+        own = torch.cat([images[number], masks[number]], 1)
+        above = None if out is None else torch.cat([out, masks[number + 1]], 1)
+        both = average(logits[number], own, above, packed=number == 0)
+        out = both[:, :-1] / (both[:, -1:] + TINY) * masks[number]
+    assert out is not None
+    return out
+
+
+def _folded(image: Tensor) -> Tensor:
+    b, c, h, w = image.shape
+    return image.reshape(b, c, h // 2, 2, w // 2, 2)
+
+
+def _planes(image: FloatImage, device: str) -> Tensor:
+    """``(H, W, C)`` to ``(1, C, H, W)`` there."""
+    planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+    return torch.from_numpy(planes)[None].to(device)
