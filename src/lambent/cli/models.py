@@ -135,7 +135,7 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     score = card.get("score", {})
     return [
         ("data", ", ".join(sets)),
-        ("trained", f"{card.get('step', '?')} steps, {card.get('hours', '?')} h"),
+        ("trained", _training(card)),
         ("fails", "; ".join(card.get("known_failures", ()))),
         (
             "score",
@@ -148,6 +148,16 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
             ),
         ),
     ]
+
+
+def _training(card: dict[str, Any]) -> str:
+    """How long, all runs that led to the weights taken together."""
+    runs = [*card.get("begun_with", ()), card]
+    if any("hours" not in run or "step" not in run for run in runs):
+        return "? steps, ? h"
+    text = f"{sum(run['step'] for run in runs):,} steps, {sum(run['hours'] for run in runs):.2f} h"
+    where = card.get("trained_with", {}).get("cuda") or ""
+    return text + (f" in {len(runs)} runs" if len(runs) > 1 else "") + (where and f", {where}")
 
 
 def _data_set(one: dict[str, Any]) -> str:
