@@ -135,7 +135,7 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     score = card.get("score", {})
     return [
         ("data", ", ".join(sets)),
-        ("trained", _training(card)),
+        ("trained", _effort(card)),
         ("fails", "; ".join(card.get("known_failures", ()))),
         (
             "score",
@@ -150,7 +150,7 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _training(card: dict[str, Any]) -> str:
+def _effort(card: dict[str, Any]) -> str:
     """How long, all runs that led to the weights taken together."""
     runs = [*card.get("begun_with", ()), card]
     if any("hours" not in run or "step" not in run for run in runs):
