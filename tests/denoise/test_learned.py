@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lambent.denoise import model_file
-from lambent.denoise.learned import Lambent
+from lambent.denoise.learned import Lambent, LambentBest, LambentFast
 from lambent.denoise.pipeline import Settings, clean
 from lambent.denoise.tiles import filter_tiles, plan_tiles
 from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
@@ -16,6 +16,8 @@ from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 
 pytest.importorskip("openvino")
+
+every_size = pytest.mark.parametrize("kind", [Lambent, LambentFast, LambentBest])
 
 
 def frame(height=96, width=128, seed=0, spp=4, grey=False):
@@ -54,16 +56,18 @@ def error(image, wanted):
     return float((((image - wanted) ** 2).mean(2) / (wanted.mean(2) ** 2 + 0.01)).mean())
 
 
-def test_it_cleans():
+@every_size
+def test_it_cleans(kind):
     made = frame()
     wanted = truth(made)
-    cleaned = Lambent()(made, "beauty").colour
+    cleaned = kind()(made, "beauty").colour
     assert error(cleaned, wanted) < 0.1 * error(made.colour, wanted)
 
 
-def test_layers_sum_and_alpha_is_coverage():
+@every_size
+def test_layers_sum_and_alpha_is_coverage(kind):
     made = frame()
-    result = clean(made, Settings.checked(model="lambent", alpha=True)).frame
+    result = clean(made, Settings.checked(model=kind.about.name, alpha=True)).frame
     total = result[Role.DIFFUSE] + result[Role.SPECULAR]
     np.testing.assert_allclose(total, result.colour, rtol=2e-5, atol=2e-6)
     alpha = result[Role.ALPHA]
@@ -84,8 +88,9 @@ def test_many_layers_are_filtered_like_one():
         np.testing.assert_allclose(result.extras[f"light{n}"].data, n * result.colour, rtol=1e-4)
 
 
-def test_grey_stays_grey():
-    cleaned = Lambent()(frame(grey=True), "beauty").colour
+@every_size
+def test_grey_stays_grey(kind):
+    cleaned = kind()(frame(grey=True), "beauty").colour
     # three channels of the same numbers take the same steps
     np.testing.assert_allclose(cleaned[:, :, 1], cleaned[:, :, 0], rtol=1e-5)
     np.testing.assert_allclose(cleaned[:, :, 2], cleaned[:, :, 0], rtol=1e-5)
@@ -106,16 +111,18 @@ def test_without_albedo_the_range_is_kept():
     assert cleaned.max() <= made.colour.max() + 1e-5
 
 
+@every_size
 @pytest.mark.parametrize("size", [(1, 1), (31, 33), (32, 64), (97, 200)])
-def test_any_size(size):
-    result = Lambent()(frame(*size), "beauty").colour
+def test_any_size(size, kind):
+    result = kind()(frame(*size), "beauty").colour
     assert result.shape == (*size, 3)
     assert np.isfinite(result).all()
 
 
-def test_tiles_are_the_whole():
+@every_size
+def test_tiles_are_the_whole(kind):
     made = frame(576, 640, seed=3)
-    model = Lambent().fitted(made)
+    model = kind().fitted(made)
     layers = [made.layer(Role.COLOUR), made.layer(Role.ALPHA)]
     whole = model.filter_layers(made, layers)
     per_pixel = model.bytes_per_pixel(4)

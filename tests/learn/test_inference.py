@@ -20,9 +20,9 @@ def on_processor(monkeypatch):
     """What asks for CUDA gets the processor."""
     real = inference.filtered
 
-    def filtered(model, packed, images, divisors, device):
+    def filtered(model, packed, images, divisors, device, views):
         assert device == "cuda"
-        return real(model, packed, images, divisors, "cpu")
+        return real(model, packed, images, divisors, "cpu", views)
 
     monkeypatch.setattr(inference, "filtered", filtered)
 
@@ -38,7 +38,7 @@ def frame(guides=True):
 
 
 @pytest.mark.parametrize("guides", [True, False])
-@pytest.mark.parametrize("name", ["lambent", "lambent-fast"])
+@pytest.mark.parametrize("name", ["lambent", "lambent-fast", "lambent-best"])
 def test_both_engines_give_one_picture(on_processor, guides, name):
     from lambent.filters.denoiser import create
 

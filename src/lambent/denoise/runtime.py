@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lambent.denoise.model_file import ModelFile
+from lambent.denoise.views import two_views
 from lambent.errors import DamagedFileError, EngineError
 from lambent.frame.layer import FloatImage
 from lambent.kernels.arrays import aligned
@@ -148,34 +149,37 @@ class PyramidNetwork(Network):
         return self._logits
 
 
-_networks: dict[tuple[str, str, int | None], Network] = {}
+_networks: dict[tuple[str, str, int | None, int], Network] = {}
 _networks_lock = threading.Lock()
 
 
 def pyramid_network(
-    model: ModelFile, precision: str = "auto", threads: int | None = None
+    model: ModelFile, precision: str = "auto", threads: int | None = None, views: int = 1
 ) -> PyramidNetwork:
     """`network` of a model that reads signals and predicts a pyramid's kernels."""
-    found = network(model, precision, threads)
+    found = network(model, precision, threads, views)
     assert isinstance(found, PyramidNetwork)
     return found
 
 
-def network(model: ModelFile, precision: str = "auto", threads: int | None = None) -> Network:
+def network(
+    model: ModelFile, precision: str = "auto", threads: int | None = None, views: int = 1
+) -> Network:
     """The network of a model, compiled for this machine.
 
     ``precision``: of what is not int8: ``"auto"`` (the processor's best), or ``"f32"``.
-    Raises `EngineError` without OpenVINO, `DamagedFileError` for a network it does not take.
+    ``views``: 2 for `views.two_views`, of a model that predicts a pyramid's kernels. Raises
+    `EngineError` without OpenVINO, `DamagedFileError` for a network it does not take.
     """
-    key = (str(model.card["sha256"]), precision, threads)
+    key = (str(model.card["sha256"]), precision, threads, views)
     with _networks_lock:
         if key not in _networks:
             kind = PyramidNetwork if _is_pyramid(model) else Network
-            _networks[key] = kind(_compiled(model, precision, threads))
+            _networks[key] = kind(_compiled(model, precision, threads, views))
         return _networks[key]
 
 
-def _compiled(model: ModelFile, precision: str, threads: int | None) -> Any:
+def _compiled(model: ModelFile, precision: str, threads: int | None, views: int) -> Any:
     try:
         core = _core()
     except ImportError as error:
@@ -189,6 +193,8 @@ def _compiled(model: ModelFile, precision: str, threads: int | None) -> Any:
         options["INFERENCE_NUM_THREADS"] = threads
     try:
         graph = core.read_model(model.network, model.weights)
+        if views == 2:
+            graph = two_views(graph, core.read_model(model.network, model.weights))
         if _is_pyramid(model):
             graph = _with_short_outputs(graph)
         return core.compile_model(graph, "CPU", options)

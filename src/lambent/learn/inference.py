@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lambent.denoise.views import turned_inputs, turned_outputs
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
 from lambent.kernels.pyramid import TINY
@@ -45,17 +46,24 @@ def filtered(
     images: Sequence[FloatImage],
     divisors: Sequence[FloatImage | None],
     device: str,
+    views: int = 1,
 ) -> list[FloatImage]:
     """Images ``(H, W, C)``, C up to 3, filtered; of those with a divisor ``(H, W, C)`` also the
     quotient, and both put together by the gate.
 
-    ``packed``: `denoise.prepare.packed_inputs`, H and W padded to multiples of 32. What is not
-    finite counts as 0.
+    ``packed``: `denoise.prepare.packed_inputs`, H and W padded to multiples of 32. ``views``: looks
+    at the frame, 1 or 2. What is not finite counts as 0.
     """
     net = network(model, device)
     inputs = torch.from_numpy(packed).to(device).contiguous(memory_format=torch.channels_last)
     with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
-        logits = net(inputs)
+        logits = [level.float() for level in net(inputs)]
+        if views == 2:  # `denoise.views`, with the picture turned in place of the network
+            turned = net(inputs[:, turned_inputs()].flip(2, 3))
+            logits = [
+                (a + b[:, turned_outputs(b.shape[1])].flip(2, 3)) / 2
+                for a, b in zip(logits, turned, strict=True)
+            ]
     height, width = images[0].shape[:2]
     room = (0, 2 * packed.shape[3] - width, 0, 2 * packed.shape[2] - height)
     mask = F.pad(torch.ones(1, 1, height, width, device=device), room)
