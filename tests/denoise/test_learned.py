@@ -88,6 +88,14 @@ def test_many_layers_are_filtered_like_one():
         np.testing.assert_allclose(result.extras[f"light{n}"].data, n * result.colour, rtol=1e-4)
 
 
+def test_no_layer_of_the_frame_before_is_left():
+    rich, plain = frame(), Frame.from_arrays(colour=frame(seed=1).colour)
+    first = Lambent()(plain, "beauty").colour
+    for between in (rich, plain, rich):
+        Lambent()(between, "beauty")
+        np.testing.assert_array_equal(Lambent()(plain, "beauty").colour, first)
+
+
 @every_size
 def test_grey_stays_grey(kind):
     cleaned = kind()(frame(grey=True), "beauty").colour

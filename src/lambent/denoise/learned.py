@@ -173,8 +173,11 @@ class Lambent(Denoiser):
         results: list[FloatImage] = []
         with self._network() as network:
             space = network.workspace
-            memory = network.input(prepare.packed_shape(given))
-            logits = network(prepare.packed_inputs(given, whole, self.preference, "cpu", memory))
+            memory, same = network.input(prepare.packed_shape(given), given.arrays)
+            network.holds(None)
+            packed = prepare.packed_inputs(given, whole, self.preference, "cpu", memory, same)
+            network.holds(given.arrays)
+            logits = network(packed)
             for first in range(0, len(images), _AT_ONCE):
                 some = list(images[first : first + _AT_ONCE])
                 by = list(divided[first : first + _AT_ONCE])

@@ -110,9 +110,17 @@ def packed_shape(given: Given) -> tuple[int, int, int, int]:
 
 
 def packed_inputs(
-    given: Given, whole: Whole, preference: float, device: str, out: FloatImage | None = None
+    given: Given,
+    whole: Whole,
+    preference: float,
+    device: str,
+    out: FloatImage | None = None,
+    only_known: bool = False,
 ) -> FloatImage:
-    """The network's input, of `packed_shape`; written into ``out`` where that is given."""
+    """The network's input, of `packed_shape`; written into ``out`` where that is given.
+
+    ``only_known``: the planes of layers that there are not are 0 already.
+    """
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
 
@@ -143,7 +151,9 @@ def packed_inputs(
 
         planes = _planes(dr, module, given, read, scale, depth_scale)
         for k, value in enumerate(planes):
-            dr.scatter(target, value, index + size * (4 * k + number))
+            if value is not None or not only_known:
+                plane = index + size * (4 * k + number)
+                dr.scatter(target, module.Float(0) if value is None else value, plane)
     dr.eval(target)
     dr.sync_thread()
     result = target.numpy().reshape(shape)
@@ -155,7 +165,7 @@ def packed_inputs(
 def _planes(
     dr: Any, module: Any, given: Given, read: Any, scale: Any, depth_scale: Any
 ) -> list[Any]:
-    """The planes of `inputs.encode` at one pixel."""
+    """The planes of `inputs.encode` at one pixel; None: 0, for want of the layer."""
 
     def curve(v: Any) -> Any:
         return dr.log(1 + SLOPE * dr.maximum(v, 0)) * (1 / RANGE)
@@ -163,34 +173,33 @@ def _planes(
     def spread(values: list[Any]) -> Any:
         return dr.sqrt(sum(values[1:], values[0]) / len(values))
 
-    zero = module.Float(0)
     albedo = None
     d = [module.Float(1)] * 3
     if given.has("albedo"):
         albedo = [dr.clip(v, 0, 2) for v in read("albedo")]
         d = [a + OFFSET for a in albedo]
     found = [curve(c * scale / v) for c, v in zip(read("colour"), d, strict=True)]
-    found += albedo or [zero] * 3
-    found += [dr.clip(v, -1, 1) for v in read("normal")[:3]] if given.has("normal") else [zero] * 3
+    found += albedo or [None] * 3
+    found += [dr.clip(v, -1, 1) for v in read("normal")[:3]] if given.has("normal") else [None] * 3
     z = None
     if given.has("depth"):
         z, miss = _depth(dr, read("depth")[0])
         relative = dr.clip(dr.log(z * depth_scale) * (1 / DEPTH_RANGE), -1, 1)
         found.append(dr.select(miss, 1, relative))
     else:
-        found.append(zero)
-    found.append(dr.clip(read("roughness")[0], -1, 1) if given.has("roughness") else zero)
+        found.append(None)
+    found.append(dr.clip(read("roughness")[0], -1, 1) if given.has("roughness") else None)
     if given.has("colour_std"):
         found.append(curve(spread(read("colour_std")) * scale / ((d[0] + d[1] + d[2]) / 3)))
     else:
-        found.append(zero)
+        found.append(None)
     for name in ("albedo_std", "normal_std"):
-        found.append(dr.sqrt(dr.clip(spread(read(name)), 0, 1)) if given.has(name) else zero)
+        found.append(dr.sqrt(dr.clip(spread(read(name)), 0, 1)) if given.has(name) else None)
     if given.has("depth_std") and z is not None:
         found.append(dr.sqrt(dr.clip(dr.sqrt(read("depth_std")[0]) / z, 0, 1)))
     else:
-        found.append(zero)
-    found += [zero] * 3  # history
+        found.append(None)
+    found += [None] * 3  # history
     return found
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import os
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,14 +112,21 @@ class PyramidNetwork(Network):
         super().__init__(compiled)
         self._logits: list[Logits] = []
         self._packed: FloatImage | None = None
+        self._layers: frozenset[str] | None = None
         self.workspace = Workspace()
 
-    def input(self, shape: tuple[int, ...]) -> FloatImage:
-        """Memory for packed inputs, the same for every frame of a size."""
+    def input(self, shape: tuple[int, ...], layers: Iterable[str]) -> tuple[FloatImage, bool]:
+        """Memory for packed inputs, the same for every frame of a size; and whether it holds just
+        these layers (`holds`), so that the planes of all others are 0.
+        """
         if self._packed is None or self._packed.shape != shape:
-            self._packed = None
+            self._packed = self._layers = None
             self._packed = aligned(shape)
-        return self._packed
+        return self._packed, self._layers == frozenset(layers)
+
+    def holds(self, layers: Iterable[str] | None) -> None:
+        """The memory has been filled with these layers; None: it is about to be."""
+        self._layers = None if layers is None else frozenset(layers)
 
     def __enter__(self) -> PyramidNetwork:
         super().__enter__()
