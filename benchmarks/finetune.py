@@ -1,10 +1,11 @@
 """Fine-tuning to an odd renderer set-up: error before and after, on frames never tuned on.
 
     LAMBENT_BLENDER=... python benchmarks/finetune.py [--minutes 15] [--cache DIR] [--model lambent]
+                                                      [--render-only]
 
 A Cycles scene that no random scene resembles (CC0, made here): fluorescent paint and anisotropic
 metal, lit by many small coloured lamps and a laser-like spot, in thin fog, seen by a moving camera.
-Twelve frames are rendered with 8 spp and with 512 spp. Eight are tuned on, once as pairs and once
+Twelve frames are rendered with 8 spp and with 256 spp. Eight are tuned on, once as pairs and once
 from their half buffers alone; the error is measured on the other four. Prints a table.
 """
 
@@ -21,8 +22,8 @@ from typing import Any
 from filters import geometric_mean, markdown_table, measured
 from frames import default_cache
 
-FRAMES, TUNED, SIZE = range(1, 13), 8, (384, 216)
-NOISY_SPP, REFERENCE_SPP = 8, 512
+FRAMES, TUNED, SIZE = range(1, 13), 8, (320, 180)
+NOISY_SPP, REFERENCE_SPP = 8, 256
 
 #: Runs inside Blender's Python.
 SCENE = """
@@ -141,10 +142,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--model", default="lambent")
     parser.add_argument("--cache", type=Path, default=default_cache().with_name("odd"))
+    parser.add_argument("--render-only", action="store_true", help="make the frames, no more")
     arguments = parser.parse_args()
     from lambent.learn.finetune import finetune
 
     pairs = rendered(arguments.cache)
+    if arguments.render_only:
+        return
     tuned, held = pairs[:TUNED], pairs[TUNED:]
     table = []
     start = errors(None, held)
