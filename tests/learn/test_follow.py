@@ -2,6 +2,7 @@
 
 import hashlib
 import time
+from dataclasses import replace
 
 import made
 import pytest
@@ -67,3 +68,31 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
         task.close()
     assert not any(process.is_alive() for process in task._follower._processes)
     assert torch.load(tmp_path / "run" / "state.pt", weights_only=True)["step"] == 2
+
+
+def test_a_run_that_began_with_weights_goes_on_with_its_own(data, tmp_path, monkeypatch):
+    from lambent.denoise.model_file import read_model
+    from lambent.learn.loop import Run
+    from lambent.learn.train import train as verb
+
+    monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
+    recipe = TrainRecipe(
+        name="float", size="fast", steps=2, batch=2, warmup=1, check_every=2, checked=2,
+        held_out=0.0, data=(str(data),),
+    )  # fmt: skip
+    first = verb(recipe, tmp_path / "float", device="cpu")
+    rounded = replace(recipe, name="int8", options={"int8": True})
+    for steps in (1, 2):
+        verb(
+            rounded, tmp_path / "int8", device="cpu", start=str(first.folder), steps=steps,
+            output=tmp_path / "int8.lambent" if steps == 2 else None,
+        )  # fmt: skip
+    run = Run(tmp_path / "int8")
+    assert [told["name"] for told in run.before()] == ["float"]
+    card = read_model(tmp_path / "int8.lambent").card
+    assert card["int8"] is True
+    assert [told["recipe"]["size"] for told in card["begun_with"]] == ["fast"]
+    assert card["begun_with"][0]["step"] == card["step"] == 2
+    again = verb(replace(recipe, name="more"), tmp_path / "more", device="cpu", steps=1,
+                 start=str(tmp_path / "int8.lambent"))  # fmt: skip
+    assert [told["name"] for told in again.before()] == ["float", "int8"]

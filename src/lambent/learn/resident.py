@@ -15,6 +15,7 @@ step. Two things are added that a row at a time would be too slow for:
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,18 +36,12 @@ from lambent.learn.splat import FILTERS, GROUPS
 #: Layers of a level here, in the order of the cache's file, without what only lobes have.
 NAMES = tuple(name for name in STORED if name in LAYERS)
 PLANES = 3 + sum(LAYERS[name] for name in NAMES)
-#: First plane and number of planes of each layer.
-_AT: dict[str, slice] = {}
-for _name in NAMES:
-    _first = max([3, *(part.stop for part in _AT.values())])
-    _AT[_name] = slice(_first, _first + LAYERS[_name])
-#: Where those layers lie in a level of the cache's file.
-_FROM = [0, 1, 2]
-_place = 3
-for _name, _count in STORED.items():
-    if _name in LAYERS:
-        _FROM += range(_place, _place + _count)
-    _place += _count
+#: The planes of each layer.
+_ENDS = list(itertools.accumulate((LAYERS[name] for name in NAMES), initial=3))
+_AT = {name: slice(a, b) for name, a, b in zip(NAMES, _ENDS, _ENDS[1:], strict=False)}
+#: Where those planes lie in a level of the cache's file, which also has what only lobes have.
+_STORED = [None] * 3 + [name for name, count in STORED.items() for _ in range(count)]
+_FROM = [k for k, name in enumerate(_STORED) if name is None or name in LAYERS]
 #: The layers without deviations, which come first: what a renderer's film splats.
 _MEANS = slice(0, max(_AT[n].stop for n in NAMES if not n.endswith("_std")))
 #: Share of the rows that get another texture, and another pattern of light.
@@ -193,7 +188,8 @@ def batch_of(
     Shapes as in `learn.denoising.Batch`. The same for the same seed, step and stills.
     """
     dev = residents.device
-    rng = torch.Generator(dev).manual_seed(hash((seed, step, rank)) & 0x7FFFFFFF)
+    numbers = np.random.SeedSequence((seed, step, rank)).generate_state(1)
+    rng = torch.Generator(dev).manual_seed(int(numbers[0]))
     rows = residents.rows(size, rng)
     rows = turned(rows, rng)
     _some(rows, SHADED, rng, shaded)

@@ -53,13 +53,15 @@ def train(
     chosen = with_data(chosen, device, progress)
     task = make_task(chosen, cache_folder() / "training", progress)
     folder = Path(run) if run is not None else run_folder(chosen)
-    weights = None if start is None else _weights(start)
-    if start is not None and not Run(folder).state.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        with atomic(Run(folder).begun, overwrite=True) as handle:
-            handle.write(json.dumps(story(start), indent=1).encode())
-    if hasattr(task, "started") and not Run(folder).state.exists():
-        weights = task.started(weights)
+    weights = None
+    if not Run(folder).state.exists():  # a run that goes on has weights of its own
+        if start is not None:
+            weights = _weights(start)
+            folder.mkdir(parents=True, exist_ok=True)
+            with atomic(Run(folder).begun, overwrite=True) as handle:
+                handle.write(json.dumps(story(start), indent=1).encode())
+        if hasattr(task, "started"):
+            weights = task.started(weights)
     try:
         done = run_loop(
             chosen, task, folder, device, start=weights, steps=steps, seconds=seconds,
