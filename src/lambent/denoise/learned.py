@@ -110,7 +110,7 @@ class Lambent(Denoiser):
         whole = self._whole or prepare.Whole.of(frame)
         given = prepare.Given.of(frame)
         with self._network() as network:
-            packed = prepare.packed_inputs(given, whole, self.preference, "cpu")
+            packed = prepare.packed_inputs(given, whole, self.preference, "cpu", step=network.step)
             logits = [level.copy() for level in network(packed)]
         height, width = frame.height, frame.width
         mask = np.zeros((padded(height), padded(width)), np.float32)
@@ -175,7 +175,9 @@ class Lambent(Denoiser):
             space = network.workspace
             memory, same = network.input(prepare.packed_shape(given), given.arrays)
             network.holds(None)
-            packed = prepare.packed_inputs(given, whole, self.preference, "cpu", memory, same)
+            packed = prepare.packed_inputs(
+                given, whole, self.preference, "cpu", memory, same, network.step
+            )
             network.holds(given.arrays)
             logits = network(packed)
             for first in range(0, len(images), _AT_ONCE):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.denoise.inputs import (
     CHANNELS,
@@ -109,17 +110,27 @@ def packed_shape(given: Given) -> tuple[int, int, int, int]:
     return (1, CHANNELS, padded(given.height) // 2, padded(given.width) // 2)
 
 
+def packed_memory(shape: tuple[int, ...], step: float | None = None) -> NDArray[Any]:
+    """Zeros of that shape: float32, or int8 where there is a step."""
+    if step is None:
+        return aligned(shape)
+    count = int(np.prod(shape))
+    return aligned((-(-count // 4),)).view(np.int8)[:count].reshape(shape)
+
+
 def packed_inputs(
     given: Given,
     whole: Whole,
     preference: float,
     device: str,
-    out: FloatImage | None = None,
+    out: NDArray[Any] | None = None,
     only_known: bool = False,
-) -> FloatImage:
+    step: float | None = None,
+) -> NDArray[Any]:
     """The network's input, of `packed_shape`; written into ``out`` where that is given.
 
-    ``only_known``: the planes of layers that there are not are 0 already.
+    ``only_known``: the planes of layers that there are not are 0 already. ``step``: as whole
+    numbers of such steps, int8, for a network whose input is rounded so.
     """
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
@@ -127,9 +138,10 @@ def packed_inputs(
     height, width = padded(given.height) // 2, padded(given.width) // 2
     count = height * width
     shape = packed_shape(given)
-    memory = out if out is not None else aligned(shape)
-    flat = memory.reshape(-1)
-    target = module.Float(flat)
+    memory = out if out is not None else packed_memory(shape, step)
+    kind = module.Float if step is None else module.Int8
+    target = kind(memory.reshape(-1))
+    per_step = dr.opaque(module.Float, 1 / step if step else 1)
     index = dr.arange(module.UInt32, count)
     columns = dr.opaque(module.UInt32, width)
     row, column = index // columns, index % columns
@@ -153,11 +165,17 @@ def packed_inputs(
         for k, value in enumerate(planes):
             if value is not None or not only_known:
                 plane = index + size * (4 * k + number)
-                dr.scatter(target, module.Float(0) if value is None else value, plane)
+                value = module.Float(0) if value is None else value
+                if step is not None:
+                    value = kind(module.Int32(dr.round(dr.clip(value * per_step, -128, 127))))
+                dr.scatter(target, value, plane)
     dr.eval(target)
     dr.sync_thread()
     result = target.numpy().reshape(shape)
-    result[0, 4 * PLANES :] = constants(given.masks(), preference)[:, None, None]
+    numbers = constants(given.masks(), preference)
+    if step is not None:
+        numbers = np.rint(np.clip(numbers / step, -128, 127))
+    result[0, 4 * PLANES :] = numbers[:, None, None]
     assert result.shape[1] == 4 * PLANES + CONSTANTS
     return result
 
