@@ -5,7 +5,7 @@
 turns, each a new process, so that both see the same machine. Target: at most 1.2x. Also
 `lambent --help` (target: 0.25 s) and `--version`.
 
-Usage: python benchmarks/cold_start.py [--rounds 7]
+Usage: python benchmarks/cold_start.py [--rounds 7] [--models oidn,lambent]
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ def seconds(command: list[str]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--models", default="oidn,lambent,lambent-fast,lambent-best")
+    arguments = parser.parse_args()
+    rounds = arguments.rounds
     lambent = [sys.executable, "-m", "lambent"]
     with tempfile.TemporaryDirectory() as folder:
         noisy, clean = Path(folder) / "noisy.exr", Path(folder) / "clean.exr"
@@ -70,14 +72,19 @@ def main() -> None:
                 str(noisy),
                 str(clean),
             ],
-            "lambent denoise": [
-                *lambent,
-                "denoise",
-                str(noisy),
-                "-o",
-                str(clean),
-                "--overwrite",
-            ],
+            **{
+                f"lambent denoise --model {model}": [
+                    *lambent,
+                    "denoise",
+                    str(noisy),
+                    "-o",
+                    str(clean),
+                    "--overwrite",
+                    "--model",
+                    model,
+                ]
+                for model in arguments.models.split(",")
+            },
             "lambent --help": [*lambent, "--help"],
             "lambent --version": [*lambent, "--version"],
             "python -c pass": [sys.executable, "-c", "pass"],

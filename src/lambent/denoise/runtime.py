@@ -2,9 +2,9 @@
 
 `network` compiles a model for this machine and keeps it for the process; of the papers' networks,
 which take frames of any size, what OpenVINO compiles is cached on disk (``$LAMBENT_CACHE`` or
-``~/.cache/lambent``, folder ``compiled``). Our own is compiled for each size of frames. Convolutions may
-be int8; what is between them is computed in the processor's own short type (bfloat16 where it has
-matrix units for it), or in float32.
+``~/.cache/lambent``, folder ``compiled``). Our own is compiled for each size of frames.
+Convolutions may be int8; what is between them is computed in the processor's own short type
+(bfloat16 where it has matrix units for it), or in float32.
 
 `probe` tells whether OpenVINO is there and which precisions the processor runs natively.
 """
