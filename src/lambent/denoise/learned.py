@@ -205,7 +205,7 @@ class Lambent(Denoiser):
                 f"computing on a GPU needs PyTorch, which cannot be imported ({error})",
                 remedy="pip install 'lambent[train]', or --device cpu",
             ) from error
-        packed = prepare.packed_inputs(given, whole, self.preference, "cpu")
+        packed = prepare.packed_inputs(given, whole, self.preference, "auto")
         d = given.divisor()
         by = [
             None if d is None or not own else d[:, :, : image.shape[2]] if image.shape[2] == 3
