@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
 import subprocess
 import sys
 import time
@@ -33,10 +34,12 @@ from frames import default_cache
 Row = dict[str, Any]
 MODELS = (
     "oidn", "oidn-balanced", "oidn-fast", "oidn-best", "nfor-tuned", "statmc-tuned",
-    "lambent",
+    "lambent", "lambent-fast", "lambent-best",
 )  # fmt: skip
 YARDSTICK = "oidn"
 KINDS = ("full", "plain", "colour", "splat")
+#: Instruction sets that our network is held to, as on processors without VNNI.
+ISAS = {"AVX-512 without VNNI": "AVX512_CORE", "AVX2": "AVX2"}
 #: Models that need a variance: only where the file has one.
 NEED_VARIANCE = ("nfor-tuned", "statmc-tuned")
 ERRORS = ("relmse_trimmed", "flip", "dssim")
@@ -147,8 +150,7 @@ def speed_worker(model: str, layers: int) -> None:
         colour=image(), albedo=image(), normal=image() * 2 - 1, depth=image(1) + 1,
         lighting={f"light{n}": image() for n in range(layers)},
     )  # fmt: skip
-    name, _, option = model.partition("@")
-    denoiser = create(name, **({"precision": "f32"} if option == "f32" else {}))
+    denoiser = create(model.partition("@")[0])
     seconds = []
     for _ in range(6):
         start = time.perf_counter()
@@ -164,7 +166,9 @@ def speed(models: list[str]) -> list[Row]:
         row: Row = {"model": model}
         for layers in (0, 4):
             command = [sys.executable, __file__, "--speed-worker", model, str(layers)]
-            done = subprocess.run(command, capture_output=True, text=True)
+            isa = ISAS.get(model.partition("@")[2])
+            environment = {**os.environ, **({"ONEDNN_MAX_CPU_ISA": isa} if isa else {})}
+            done = subprocess.run(command, capture_output=True, text=True, env=environment)
             if done.returncode:
                 print(done.stderr[-500:], file=sys.stderr)
                 break
@@ -208,14 +212,10 @@ def main() -> None:
     parser.add_argument("--no-quality", action="store_true")
     parser.add_argument("--out", type=Path, help="write OUT.md and OUT.json")
     arguments = parser.parse_args()
-    from lambent.denoise.model_file import shipped
-
-    models = [
-        m for m in arguments.models.split(",") if not m.startswith("lambent") or m in shipped()
-    ]
+    models = arguments.models.split(",")
     text, figures = f"{machine()}\n", {}
     if not arguments.no_speed:
-        timed = [*models, *(f"{m}@f32" for m in models if m == "lambent")]
+        timed = [*models, *(f"{m}@{isa}" for m in models if m == "lambent" for isa in ISAS)]
         figures["speed"] = speed(timed)
         text += f"\n### Time and memory, 1280x720\n\n{speed_table(figures['speed'])}\n"
     if not arguments.no_quality:
