@@ -70,3 +70,22 @@ def test_the_run_time_filters_alike():
         memory[-1][...] = tensor[0].numpy()
     out = pyramid.filter_planes(memory, level).planes
     np.testing.assert_allclose(out, expected.numpy(), atol=3e-6)
+
+
+@pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
+@pytest.mark.parametrize("channels", [1, 4, 7])
+def test_any_number_of_channels(monkeypatch, channels):
+    found = [t.detach().requires_grad_() for t in logits(1, 32, seed=3)]
+    image = torch.rand(1, channels, 32, 32)
+    results = []
+    for fast in (True, False):
+        monkeypatch.setattr(kernel_pyramid, "available", lambda fast=fast: fast)
+        for tensor in found:
+            tensor.grad = None
+        out = kernel_pyramid.apply(found, image)
+        (out**2).sum().backward()
+        results.append((out.detach(), [tensor.grad.clone() for tensor in found]))
+    (a, a_grads), (b, b_grads) = results
+    torch.testing.assert_close(a, b, atol=3e-6, rtol=1e-5)
+    for one, two in zip(a_grads, b_grads, strict=True):
+        torch.testing.assert_close(one, two, atol=2e-5 * float(two.abs().max()), rtol=1e-3)
