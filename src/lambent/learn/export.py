@@ -107,6 +107,8 @@ def export_run(
         **ready.about,
         "data": task.about_data(),
     }
+    if failures := told["recipe"].pop("known_failures", None):
+        card["known_failures"] = failures
     if before := run.before():
         card["begun_with"] = before
     examples = task.calibration() if int8 else None

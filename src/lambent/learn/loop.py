@@ -335,7 +335,7 @@ def _prepare(run: Run, recipe: TrainRecipe) -> None:
     if path.exists():
         known = run.recipe()
         different = sorted(k for k, v in recipe.as_dict().items() if known.get(k) != v)
-        different = [k for k in different if k not in ("data", "checked")]
+        different = [k for k in different if k not in ("data", "checked", "known_failures")]
         if different:
             raise OptionError(
                 f"holds a run with another recipe: {', '.join(different)} differ",

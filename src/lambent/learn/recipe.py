@@ -32,6 +32,7 @@ class TrainRecipe:
     times it. ``decay``: of the running mean of the weights. ``held_out``: share of the scenes that
     are never trained on. ``check_every``: steps from one validation to the next. ``clip``: largest
     norm of a gradient. ``size``: of the network. ``optimiser``: a name in `OPTIMISERS`.
+    ``known_failures``: sentences for the model's card.
     ``options``: what the task itself has to be told, a table ``[options]``.
     """
 
@@ -51,6 +52,7 @@ class TrainRecipe:
     check_every: int = 1000
     checked: int = 96
     optimiser: str = "adam"
+    known_failures: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
