@@ -277,7 +277,7 @@ def painted(rows: Rows, rng: torch.Generator) -> None:
     """Another texture on everything that has an albedo: albedo and light multiplied alike."""
     size = len(rows.planes)
     height, width = rows.planes.shape[2:]
-    first, second = (pattern(size, height, width, rng) for _ in range(2))
+    first, second = pattern(2 * size, height, width, rng).chunk(2)
     tints = _random(size, 6, rng)
     a, b = (tints[:, i : i + 3, None, None] * 0.8 + 0.2 for i in (0, 3))
     grey = _random(size, 1, rng)[:, :, None, None] < 0.5
@@ -356,17 +356,22 @@ def lit(rows: Rows, rng: torch.Generator) -> None:
     """One to `lamps.MOST` lamps before what is there: see `learn.lamps`."""
     size, dev = len(rows.planes), rows.planes.device
     height, width = rows.planes.shape[2:]
-    count = 1 + (_random(size, 1, rng) * lamps.MOST).long()
-    for number in range(lamps.MOST):
-        on = (number < count).float()[:, :, None, None]
-        p = _random(size, 16, rng)
-        cover = _lamp_cover(p, height, width, rng) * on
-        level = _log_uniform(p[:, 8:9], lamps.RADIANCE)
-        tint = torch.exp(0.3 * torch.randn(size, 3, generator=rng, device=dev))
-        radiance = (level * tint / tint.mean(1, keepdim=True))[:, :, None, None]
-        n = rows.spp.round().clamp_min(1)[:, None, None, None]
-        hit = torch.binomial(n.expand_as(cover).contiguous(), cover.clamp(0, 1), generator=rng) / n
-        spread = hit * (1 - hit) / (n - 1).clamp_min(1)
+    # what does not depend on what is behind, for all lamps at once
+    most = lamps.MOST
+    count = 1 + (_random(size, 1, rng) * most).long()
+    on = (torch.arange(most, device=dev) < count).T.reshape(-1, 1, 1, 1).float()
+    dice = _random(most * size, 16, rng)
+    covers = _lamp_cover(dice, height, width, rng) * on
+    levels = _log_uniform(dice[:, 8:9], lamps.RADIANCE)
+    tints = torch.exp(0.3 * torch.randn(most * size, 3, generator=rng, device=dev))
+    lights = (levels * tints / tints.mean(1, keepdim=True))[:, :, None, None]
+    normals = F.normalize(torch.randn(most * size, 3, generator=rng, device=dev), dim=1)
+    n = rows.spp.round().clamp_min(1)[:, None, None, None]
+    counts = n.repeat(most, 1, 1, 1).expand_as(covers).contiguous()
+    hits = torch.binomial(counts, covers.clamp(0, 1), generator=rng) / counts
+    spreads = hits * (1 - hits) / (counts - 1).clamp_min(1)
+    parts = (part.split(size) for part in (dice, covers, lights, normals, hits, spreads))
+    for p, cover, radiance, normal, hit, spread in zip(*parts, strict=True):
         rest = 1 - hit
 
         def behind(name: str, step: Tensor, rest: Tensor = rest, spread: Tensor = spread) -> None:
@@ -377,7 +382,6 @@ def lit(rows: Rows, rng: torch.Generator) -> None:
         behind("colour_std", (radiance - colour).abs().mean(1, keepdim=True))
         own = (p[:, 9] < 0.5).float()[:, None, None, None]
         grey = (p[:, 10:11] * 3).floor() / 2
-        normal = F.normalize(torch.randn(size, 3, generator=rng, device=dev), dim=1)
         near = rows.layer("depth").amin((2, 3)) + 0.2 * p[:, 11:12] - 0.1
         for name, value in (
             ("albedo", grey.expand(-1, 3)), ("normal", normal),
@@ -402,19 +406,18 @@ def filtered(rows: Rows, rng: torch.Generator) -> None:
     height, width = image.shape[2:]
     reach = 2
     steps = torch.arange(-reach, reach + 1, device=dev, dtype=torch.float32)[None, :, None, None]
-    total = torch.zeros_like(image)
-    weight = torch.zeros_like(image[:, :1])
     shape, side = (height + 2 * reach, width + 2 * reach), 2 * reach + 1
-    for group in range(GROUPS):
-        at = torch.rand(2, size, 1, height, width, generator=rng, device=dev) - 0.5
-        down, across = _filter(steps - at[0], kind), _filter(steps - at[1], kind)
-        w = (down[:, :, None] * across[:, None]).flatten(1, 2)  # (n, 25, H, W)
-        w = w * (group < rows.spp)[:, None, None, None]
-        both = torch.cat([image, torch.ones_like(weight)], 1)
-        spread = (both[:, :, None] * w[:, None]).flatten(1, 2).flatten(2)
-        folded = F.fold(spread, shape, side)[:, :, reach:-reach, reach:-reach]
-        total += folded[:, :-1]
-        weight += folded[:, -1:]
+    # all samples of a pixel have its value: their weights add up before they are spread
+    at = torch.rand(2, size * GROUPS, 1, height, width, generator=rng, device=dev) - 0.5
+    kinds = kind.repeat_interleave(GROUPS, 0)
+    down, across = _filter(steps - at[0], kinds), _filter(steps - at[1], kinds)
+    w = (down[:, :, None] * across[:, None]).flatten(1, 2)  # (n · GROUPS, 25, H, W)
+    there = torch.arange(GROUPS, device=dev) < rows.spp[:, None]
+    w = (w.unflatten(0, (size, GROUPS)) * there[:, :, None, None, None]).sum(1)
+    both = torch.cat([image, torch.ones_like(image[:, :1])], 1)
+    spread = (both[:, :, None] * w[:, None]).flatten(1, 2).flatten(2)
+    folded = F.fold(spread, shape, side)[:, :, reach:-reach, reach:-reach]
+    total, weight = folded[:, :-1], folded[:, -1:]
     rows.planes[:, _MEANS] = total / torch.where(weight.abs() < 0.05, 0.05, weight)
     fine = (torch.arange(64, device=dev) + 0.5) / 64 - 0.5
     line = _filter(steps - fine[None, None, :, None], kind).mean((2, 3))  # (n, 5)
