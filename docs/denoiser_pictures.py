@@ -28,7 +28,7 @@ from frames import default_cache
 
 MODELS = ("oidn", "lambent")
 #: Width and height of what is shown, in the middle of a frame.
-DETAIL = (160, 120)
+DETAIL = (84, 84)
 
 
 def strip(cache: Path, name: str, spp: int) -> tuple[list[Any], list[str]]:
@@ -45,7 +45,7 @@ def strip(cache: Path, name: str, spp: int) -> tuple[list[Any], list[str]]:
     detail = ((width - DETAIL[0]) // 2, (height - DETAIL[1]) // 2, *DETAIL)
     pictures, words = [], []
     for kind, image in images.items():
-        pictures.append(cut(np.asarray(image), detail, exposure, 2))
+        pictures.append(cut(np.asarray(image), detail, exposure, 3))
         error = relmse(image, truth.colour, TRIM, reference_variance=variance)
         told = f"{name}, {spp} spp" if kind == "noisy" else f"{kind} {error:.4f}"
         words.append("reference" if kind == "reference" else told)
