@@ -55,7 +55,7 @@ class Lambent(Denoiser):
     ``preference``: 0 asks for the least error; towards 1 for keeping what might be detail, and
     with it some noise. ``weights``: another model file, such as `lambent train` makes.
     ``views``: 2 looks at the frame once more, turned by half, and takes the mean (`denoise.views`):
-    a twentieth to a twelfth of the error less for nearly twice the time of the network.
+    mostly some hundredths of the error less, for nearly twice the time of the network.
     ``precision``: ``"f32"`` computes in float32 where bfloat16 would be faster. ``threads``: of
     the network. ``device``: ``"cuda"`` computes with PyTorch on an NVIDIA GPU; else the processor
     does it.

@@ -35,6 +35,7 @@ from lambent.learn.augment import Example, recoloured, turned
 from lambent.learn.batches import Row, ahead, ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
+from lambent.learn.held_out import TRIMMED
 from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
@@ -196,7 +197,7 @@ class FinetuneTask:
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
-        """Mean relative squared error on the held-out tiles (of halves: with their noise)."""
+        """Mean trimmed relMSE on the held-out tiles (of halves: all of it, with their noise)."""
         errors = []
         for n, y, x in self._held:
             pair = self.pairs[n]
@@ -206,7 +207,10 @@ class FinetuneTask:
                 errors.append(float(losses.unbiased(out, b.target)))
             else:
                 size = b.target.mean(1, keepdim=True) ** 2 + losses.EPSILON
-                errors.append(float(((out - b.target) ** 2 / size).mean()))
+                error = ((out - b.target) ** 2 / size).mean(1)
+                # a lamp's rim would outweigh all else: the trimmed error, as everywhere
+                keep = error <= torch.quantile(error, 1 - TRIMMED)
+                errors.append(float(error[keep].mean()))
         return {"score": float(np.mean(errors))}, {}
 
 
