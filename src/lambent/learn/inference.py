@@ -113,5 +113,5 @@ def _folded(image: Tensor) -> Tensor:
 
 def _planes(image: FloatImage, device: str) -> Tensor:
     """``(H, W, C)`` to ``(1, C, H, W)`` there."""
-    planes = np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
+    planes = np.array(image.transpose(2, 0, 1), np.float32, order="C")  # a copy that is our own
     return torch.from_numpy(planes)[None].to(device)
