@@ -111,7 +111,7 @@ class DenoisingTask:
     """
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
-        self.recipe = recipe
+        self.recipe, self.device = recipe, "cpu"
         self.options: Options = record_from(Options, dict(recipe.options))
         if recipe.size not in WIDTHS:
             raise OptionError(
@@ -125,8 +125,6 @@ class DenoisingTask:
         self._place: Path | None = None
         self._follower: Follower | None = None
         self._looked = 0.0
-
-    device = "cpu"
 
     def network(self) -> nn.Module:
         """A fresh network of the recipe's size."""
