@@ -43,21 +43,29 @@ def commands() -> str:
     context = root.context_class(root, info_name="lambent")
     out = ["# Commands", "", _prose(root.help), ""]
     for name in root.list_commands(context):
-        command = root.get_command(context, name)
-        assert command is not None
-        sub = command.context_class(command, info_name=name, parent=context)
-        usage = command.get_usage(sub).replace("Usage: ", "")
-        out += [f"## lambent {name}", "", _prose(command.help), ""]
-        out += ["```text", " ".join(usage.split()), "```", ""]
-        arguments = [p for p in command.params if p.param_type_name == "argument"]
-        options = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
-        rows = [(f"`{_metavar(p)}`", getattr(p, "help", "") or "") for p in arguments]
-        rows += [(_option(p), _help(p)) for p in options if p.name != "help"]
-        if rows:
-            out += ["| argument or option | what it does |", "| --- | --- |"]
-            out += [f"| {a} | {_cell(b)} |" for a, b in rows]
-        out += [""]
+        out += _command(root, context, name, "##")
     return "\n".join(out)
+
+
+def _command(group: Any, context: Any, name: str, mark: str) -> list[str]:
+    """The section of a command, and below it those of its own commands."""
+    command = group.get_command(context, name)
+    assert command is not None
+    sub = command.context_class(command, info_name=name, parent=context)
+    usage = command.get_usage(sub).replace("Usage: ", "")
+    out = [f"{mark} {sub.command_path}", "", _prose(command.help), ""]
+    out += ["```text", " ".join(usage.split()), "```", ""]
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
+    rows = [(f"`{_metavar(p)}`", getattr(p, "help", "") or "") for p in arguments]
+    rows += [(_option(p), _help(p)) for p in options if p.name != "help"]
+    if rows:
+        out += ["| argument or option | what it does |", "| --- | --- |"]
+        out += [f"| {a} | {_cell(b)} |" for a, b in rows]
+    out += [""]
+    for below in command.list_commands(sub) if hasattr(command, "list_commands") else ():
+        out += _command(command, sub, below, mark + "#")
+    return out
 
 
 def _metavar(parameter: Any) -> str:

@@ -1,6 +1,9 @@
 """lambent train: what it prints, refuses and leaves behind."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -50,6 +53,34 @@ def test_an_existing_output_is_kept(capsys, tmp_path):
     assert code == 2
     assert "exists already" in err
     assert old.read_text() == "precious"
+
+
+@pytest.mark.slow
+def test_two_processes_make_the_data_and_write_the_model_once(tmp_path):
+    data = tmp_path / "data.toml"
+    data.write_text(
+        'name = "tiny"\nseed = 3\ncount = 6\nitems_per_scene = 2\ncameras_per_scene = 1\n'
+        "view = [160, 96]\ncrop = 64\nlevels = 2\nspp = [1, 4]\ntarget_spp = 16\n"
+        "target_most = 16\nmean_spp = 2\n"
+    )
+    recipe = tmp_path / "r.toml"
+    recipe.write_text(
+        'name = "tiny"\nsize = "fast"\ndata = ["data.toml"]\nsteps = 2\nbatch = 2\nwarmup = 1\n'
+        "held_out = 0.0\nseed = 1\ncheck_every = 2\nchecked = 4\n"
+    )
+    model = tmp_path / "mine.lambent"
+    done = subprocess.run(
+        [
+            sys.executable, "-m", "torch.distributed.run", "--nproc-per-node=2",
+            "--master-port=0", "--rdzv-backend=c10d", "--rdzv-endpoint=localhost:0",
+            "-m", "lambent", "train", str(recipe), "-o", str(model), "--device", "cpu",
+        ],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "LAMBENT_CACHE": str(tmp_path / "cache")},
+        capture_output=True, text=True, timeout=500,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.stdout.count(f"wrote {model}") == 1
+    assert model.exists()
 
 
 def test_a_whole_run(capsys, tmp_path, monkeypatch):

@@ -25,6 +25,9 @@ def test_every_model_has_a_reach_within_the_limit() -> None:
 
 def test_parameters_are_converted_and_checked() -> None:
     assert create("nlm", radius="7") == create("nlm", radius=7)
+    assert create("lambent", views="2") == create("lambent", views=2)
+    with pytest.raises(OptionError, match="take one of 1, 2"):
+        create("lambent", views="3")
     with pytest.raises(UnknownNameError, match="radius"):
         create("nlm", radus=7)
     with pytest.raises(OptionError, match="needs a value of type int"):

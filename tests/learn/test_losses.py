@@ -39,6 +39,17 @@ def test_a_noisy_target_weighs_less():
     assert float(weight[..., 20:].max()) < 0.25
 
 
+def test_cleaner_crops_weigh_more():
+    r = torch.ones(3, 3, 16, 16)
+    c = r * torch.tensor([1.05, 1.5, 8.0])[:, None, None, None]
+    share = losses.evened(r, c, torch.ones(3, 1, 16, 16)).flatten()
+    assert share[0] > 1 > share[2]
+    one = losses.evened(r[:1], c[:1], torch.ones(1, 1, 16, 16))
+    assert float(one) == float(share[0])  # whatever else is in the batch
+    noise = losses.logarithmic(c, r).mean((1, 2, 3))
+    assert (share * noise).diff().min() > 0  # but does not turn the order of the losses
+
+
 def test_light_in_the_dark_keeps_its_slope():
     """A dark pixel that gets light from a lamp of 1000: the pull on the lamp's weight stays."""
     r = torch.full((1, 3, 8, 8), 0.1)

@@ -8,6 +8,7 @@ import made
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from made import few_threads  # noqa: F401
 
 from lambent.learn import resident, splat
@@ -69,6 +70,49 @@ def test_more_can_be_brought_in(stills):
     assert len(residents) == len(whole) == 4
     torch.testing.assert_close(residents.levels, whole.levels)
     torch.testing.assert_close(residents.chance, whole.chance)
+
+
+def test_shrunk_crops_have_the_noise_of_four_times_the_samples():
+    """Many renders of a ramp: their spread after shrinking is what the deviations say."""
+    rng = torch.Generator().manual_seed(7)
+    ramp = torch.linspace(0.5, 2.0, 32).expand(32, 32)
+    deviation = 0.3 * ramp
+    count = 400
+    planes = torch.zeros(count, resident.PLANES, 32, 32)
+    colour = ramp + deviation * torch.randn(count, 1, 32, 32, generator=rng)
+    planes[:, :3] = colour
+    noisy = resident.Rows(
+        planes, torch.ones(count, len(resident.NAMES)), planes[:, :4], torch.full((count,), 8.0)
+    )
+    noisy.layer("colour_std")[:] = deviation
+    noisy.target = torch.cat([colour.expand(-1, 3, -1, -1), deviation.expand(count, 1, 32, 32)], 1)
+    small = resident.shrunk(noisy)
+    assert small.planes.shape[2:] == small.target.shape[2:] == (16, 16)
+    assert float(small.spp[0]) == 32
+    torch.testing.assert_close(
+        small.planes[:, 0].mean(0), F.avg_pool2d(ramp[None], 2)[0], atol=0.06, rtol=0
+    )
+    spread = small.planes[:, 0].std(0)
+    told = small.layer("colour_std")[0, 0]
+    assert float((spread / told).mean()) == pytest.approx(1, abs=0.02)
+    torch.testing.assert_close(small.target[:, 3], small.layer("colour_std")[:, 0])
+
+
+def test_some_batches_are_shrunk(stills, monkeypatch):
+    residents = resident.Residents(stills, CPU)
+    monkeypatch.setattr(resident, "LEAST", 16)
+    edge = residents.levels.shape[2]
+    found = set()
+    for step in range(8):
+        packed, colour, divisor, target, deviation, preference = resident.batch_of(
+            residents, 1, step, 2
+        )
+        rows = len(packed)
+        found.add((rows, colour.shape[2]))
+        assert packed.shape[2] * 2 == colour.shape[2] == target.shape[2] == deviation.shape[2]
+        assert len(colour) == len(divisor) == len(target) == len(preference) == rows
+        assert bool(torch.isfinite(packed).all())
+    assert found == {(2, edge), (8, edge // 2)}
 
 
 def test_batches_follow_from_seed_and_step(stills):

@@ -177,6 +177,38 @@ def test_frames_come_with_motion(scene, tmp_path):
     assert all(path.read_bytes() == content for path, content in before.items())
 
 
+def test_a_later_part_of_a_shot_has_the_same_motion(scene, tmp_path):
+    (tmp_path / "still.toml").write_text(
+        'frames = [1, 3]\n[[object]]\nshape = "ball"\nat = [1, 3]\n'
+        "translate = [[0, 0, 0], [1, 0, 0]]\nscale = 1.5\n"
+    )
+    whole = render_all(scene, str(tmp_path / "a.####.exr"), spp=2, frames=(1, 2, 3))
+    render_all(scene, str(tmp_path / "b.####.exr"), spp=2, frames=(1,))
+    later = render_all(scene, str(tmp_path / "b.####.exr"), spp=2, frames=(2, 3))
+    alone = render_all(scene, str(tmp_path / "c.####.exr"), spp=2, frames=(2,))
+    for one, other in zip(whole[1:], later, strict=True):
+        np.testing.assert_array_equal(one.frame[Role.MOTION], other.frame[Role.MOTION])
+        np.testing.assert_array_equal(
+            one.frame.extras["disocclusion_mask"].data,
+            other.frame.extras["disocclusion_mask"].data,
+        )
+    np.testing.assert_array_equal(whole[1].frame[Role.MOTION], alone[0].frame[Role.MOTION])
+    assert "disocclusion_mask" not in alone[0].frame.extras  # nothing is known of frame 1
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"resume": True}, {"spp": "+4"}, {"features": "none"}, {"integrator": "volpath"},
+        {"light_groups": {"key": ["sun"]}}, {"target_error": 0.1}, {"parameters": {"a.b": 1}},
+    ],
+)  # fmt: skip
+def test_what_cycles_cannot_do_is_refused(tmp_path, option):
+    name = "spp" if "spp" in option else next(iter(option)).replace("_", "-")
+    with pytest.raises(OptionError, match=name):
+        render_all(tmp_path / "kitchen.blend", **option)
+
+
 # ------------------------------------------------------------------- bad input
 
 

@@ -17,7 +17,7 @@ from lambent.cli.progress import Progress, show_seconds
 if TYPE_CHECKING:
     from lambent.dataset.make import Outcome
 
-EPILOG = "Example: lambent dataset make recipes/mixed.toml -o data --time 2h"
+EPILOG = "Example: lambent dataset make recipes/mitsuba.toml -o data --time 2h"
 
 dataset = typer.Typer(
     add_completion=False,

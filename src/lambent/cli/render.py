@@ -2,8 +2,9 @@
 
 SCENE is a Mitsuba scene (.xml), rendered by path tracing, or a Blender file (.blend), rendered by
 Cycles. The EXR holds colour, its variance and two half buffers, light split in several ways,
-albedo, normal, depth, position, roughness and alpha, each with its variance. It is written again
-and again while the picture grows; after Ctrl-C it holds what was reached, and --resume goes on.
+albedo, normal, depth, position, roughness and alpha, each with its variance. Of a Mitsuba scene it
+is written again and again while the picture grows; after Ctrl-C it holds what was reached, and
+--resume goes on. Cycles' pictures appear when they are whole.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ def render(
             "--output",
             "-o",
             metavar="OUT.exr",
-            help="Where to write; a pattern for frames. Default: SCENE.exr here.",
+            help="Where to write; a pattern for frames. Default: SCENE.exr here, for a scene.xml "
+            "its folder's name.",
         ),
     ] = None,
     spp: Annotated[

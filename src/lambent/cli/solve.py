@@ -40,7 +40,7 @@ def solve(
             "--output",
             "-o",
             metavar="OUT.lambent",
-            help="Where to write. Default: SCENE.lambent here.",
+            help="Where to write. Default: SCENE.lambent here, for a scene.xml its folder's name.",
         ),
     ] = None,
     method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",

@@ -7,6 +7,7 @@ and goes on where it stopped, whatever stopped it: give the same command again. 
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -122,6 +123,8 @@ def train(
             place = run if run is not None else run_folder(chosen)
             print(f"stopped; the same command goes on. The run is in {place}")
             raise
+    if int(os.environ.get("RANK", 0)):  # by torchrun: the first process tells
+        return
     page(done, running=False)
     checks = [line for line in done.lines() if "check" in line]
     best = min(checks, key=lambda line: line["check"]["score"]) if checks else None
@@ -157,4 +160,6 @@ def _print_finetuned(result: dict[str, float], output: Path) -> None:
         f"({100 * (result['after'] / result['before'] - 1):+.1f} %), "
         f"{int(result['steps'])} steps in {result['seconds']:.0f} s"
     )
-    print(f"wrote {output}; use it: lambent denoise noisy.exr --set weights={output}")
+    print(
+        f"wrote {output}; use it: lambent denoise noisy.exr --model lambent --set weights={output}"
+    )

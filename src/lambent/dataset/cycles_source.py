@@ -79,7 +79,6 @@ class RandomCyclesScene:
         self, camera: int, edge: int, spp: Sequence[int], target_spp: int
     ) -> tuple[Still, ...]:
         """Every still of the item, levels and target from one order."""
-        recipe = self.source.recipe
         with self.source.phases("Cycles"):
             views = self.source.worker.render_random(
                 self.seed,
@@ -96,7 +95,6 @@ class RandomCyclesScene:
             "seed": self.seed,
             "view_camera": first.camera,
             "view_window": [round(share, 5) for share in first.window],
-            "depth": recipe.depth,
         }
         return tuple(Still(view.noisy, view.target) for view in views)
 

@@ -315,12 +315,13 @@ def _convert(model: str, name: str, value: Any, wanted: Any) -> Any:
         choices = typing.get_args(wanted)
     try:
         if typing.get_origin(wanted) is Literal:
-            if text not in choices:
+            named = {str(choice): choice for choice in choices}  # numbers come as text, too
+            if text not in named:
                 raise OptionError(
                     f"'{name}' of '{model}' cannot be '{text}'",
-                    remedy=f"take one of {', '.join(map(str, choices))}",
+                    remedy=f"take one of {', '.join(named)}",
                 )
-            return text
+            return named[text]
         if wanted is bool:
             return {
                 "1": True,

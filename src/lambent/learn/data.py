@@ -19,11 +19,15 @@ Progress = Callable[[float, float, str], None]
 
 
 def with_data(
-    recipe: TrainRecipe, device: str = "auto", progress: Progress | None = None
+    recipe: TrainRecipe,
+    device: str = "auto",
+    progress: Progress | None = None,
+    missing: bool = True,
 ) -> TrainRecipe:
     """The recipe with folders alone; sets that are named by their recipe are made, or completed.
 
-    They go where `lambent dataset make` puts them. Raises what making a set raises, and
+    They go where `lambent dataset make` puts them. Not ``missing``: take what there is, since
+    another process makes the rest. Raises what making a set raises, and
     `LambentError` where some of it cannot be made.
     """
     folders = []
@@ -33,6 +37,9 @@ def with_data(
             continue
         wanted = load_recipe(text)
         folder = default_folder(wanted)
+        folders.append(str(folder))
+        if not missing:
+            continue
         outcome = make(
             wanted, folder, device=device, trust=True, progress=progress or (lambda *_: None)
         )
@@ -41,5 +48,4 @@ def with_data(
                 f"the data set '{wanted.name}' cannot be made: {outcome.failed[0].reason}",
                 remedy=f"see: lambent dataset make {Path(text)}",
             )
-        folders.append(str(folder))
     return replace(recipe, data=tuple(folders))

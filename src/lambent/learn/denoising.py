@@ -32,6 +32,8 @@ from lambent.settings import record_from
 
 #: Subsets of layers that a network is scored with.
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
+#: Where few, some and many samples begin.
+BANDS = (1, 8, 64)
 #: Rows that int8 is calibrated with.
 CALIBRATION = 128
 #: Seconds from one look for new crops to the next, where a run follows its data.
@@ -215,7 +217,8 @@ class DenoisingTask:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 
         Where OIDN is not installed: to those of the noisy input.
-        ``score``: geometric mean of the ratios of trimmed relMSE and of SMAPE over the subsets.
+        ``score``: geometric mean over the subsets of the ratios of trimmed relMSE and of SMAPE, the
+        latter for few, some and many samples apart: a mean over all is that of the noisiest.
         ``lamps``: the share of their light that small lamps put into the crops keep.
         """
         if self._yardstick is None:
@@ -233,17 +236,17 @@ class DenoisingTask:
                     row = [example.noisy.colour, x, example.target]
                     name = f"{spp:g} spp"
                     pictures[f"{len(pictures)}: {name}"] = np.concatenate(row, 2).transpose(1, 2, 0)
-            _put(found, subset, errors)
+            self._put(found, subset, errors)
         found["lamps"] = self._lamps_kept(model, device)
-        ratios = [
-            found[f"{subset} {what}"] / self._yardstick[f"{subset} {what}"]
-            for subset in SUBSETS
-            for what in ("relmse", "smape")
-        ]
         by = "noisy" if self._yardstick.get("noisy") else "oidn"
-        names = [f"{subset} {what}/{by}" for subset in SUBSETS for what in ("relmse", "smape")]
-        found.update(dict(zip(names, ratios, strict=True)))
-        found["score"] = float(np.exp(np.mean(np.log(ratios))))
+        logs = []
+        for subset in SUBSETS:
+            parts = {what: found[what] / self._yardstick[what] for what in _names(found, subset)}
+            found |= {f"{what}/{by}": ratio for what, ratio in parts.items()}
+            relmse = parts.pop(f"{subset} relmse")
+            parts.pop(f"{subset} smape")
+            logs += [np.log(relmse), np.mean(np.log(list(parts.values())))]
+        found["score"] = float(np.exp(np.mean(logs)))
         return found, pictures
 
     def _lamps_kept(self, model: nn.Module, device: torch.device) -> float:
@@ -271,10 +274,21 @@ class DenoisingTask:
         except EngineError:
             plain = colour = [errors_of(e.noisy.colour, e) for e in examples]
             found["noisy"] = 1.0
-        _put(found, "full", plain)
-        _put(found, "plain", plain)
-        _put(found, "colour", colour)
+        self._put(found, "full", plain)
+        self._put(found, "plain", plain)
+        self._put(found, "colour", colour)
         return found
+
+    def _put(self, found: dict[str, float], subset: str, errors: list[tuple[float, float]]) -> None:
+        """Means over the examples: less the targets' noise, one alone may come out below 0."""
+        relmse, smape = np.array(errors).T
+        found[f"{subset} relmse"] = float(max(relmse.mean(), 1e-6))
+        found[f"{subset} smape"] = float(smape.mean())
+        spp = np.array([spp for _, spp in self.checked])
+        for low, high in itertools.pairwise((*BANDS, np.inf)):
+            within = (spp >= low) & (spp < high)
+            if within.any():
+                found[f"{subset} smape from {low} spp"] = float(smape[within].mean())
 
 
 # ------------------------------------------------------------------- private
@@ -289,8 +303,6 @@ def _only(example: Example, subset: str) -> Example:
     return replace(example, noisy=replace(noisy, layers=kept, spp=spp))
 
 
-def _put(found: dict[str, float], subset: str, errors: list[tuple[float, float]]) -> None:
-    """Means over the examples: less the targets' noise, one alone may come out below 0."""
-    relmse, smape = np.array(errors).mean(axis=0)
-    found[f"{subset} relmse"] = float(max(relmse, 1e-6))
-    found[f"{subset} smape"] = float(smape)
+def _names(found: Mapping[str, float], subset: str) -> list[str]:
+    """The errors of a subset."""
+    return [name for name in found if name.startswith(subset + " ")]

@@ -20,6 +20,7 @@ seconds. With ``torchrun`` each process takes its share of every batch, and grad
 
 from __future__ import annotations
 
+import datetime
 import json
 import math
 import os
@@ -48,6 +49,10 @@ SAVE_EVERY = 120.0
 #: Steps from one line of the log to the next.
 LOG_EVERY = 50
 WEIGHT_DECAY = 1e-4
+#: More steps than any run takes: one that ends by the clock.
+ENDLESS = 1 << 60
+#: The first process may have data to make before the others can go on.
+PATIENCE = datetime.timedelta(days=7)
 
 Progress = Callable[[float, float, str], None]
 
@@ -134,8 +139,8 @@ class Run:
 
 
 @dataclass
-class _Process:
-    """Which of how many processes this is, and where it computes."""
+class Process:
+    """Which of how many processes this is (``torchrun`` tells), and where it computes."""
 
     rank: int
     world: int
@@ -143,7 +148,13 @@ class _Process:
 
     @property
     def first(self) -> bool:
+        """Whether it is the one that writes."""
         return self.rank == 0
+
+    def wait(self) -> None:
+        """Until all processes are here."""
+        if self.world > 1:
+            torch.distributed.all_reduce(torch.zeros(1))
 
 
 def train(
@@ -161,13 +172,13 @@ def train(
     """Train, or go on training, in ``folder``.
 
     ``start``: weights to begin with (fine-tuning). ``steps``: stop after so many in all, though
-    the schedule is the recipe's. ``seconds``: stop after so long; the schedule then follows the
-    clock. ``check_first``: validate before the first step too. ``after_check`` is called after each
-    validation.
+    the schedule is the recipe's. ``seconds``: stop after so long instead; the schedule then follows
+    the clock, which starts anew with each call. ``check_first``: validate before the first step
+    too. ``after_check`` is called after each validation.
     Raises `OptionError` for a folder that holds a run with another recipe, and for weights of
     another network.
     """
-    here = _process(device)
+    here = join(device)
     run = Run(folder)
     if here.first:
         _prepare(run, recipe)
@@ -189,7 +200,8 @@ def train(
         optimiser.load_state_dict(state["optimiser"])
         step, best, spent = state["step"], state["best"], state["spent"]
     first = step
-    last = min(recipe.steps, steps if steps is not None else recipe.steps)
+    last = recipe.steps if seconds is None else ENDLESS
+    last = min(last, steps if steps is not None else last)
     parallel: nn.Module = DistributedDataParallel(model) if here.world > 1 else model
     log = _Log(run, step) if here.first else None
     began = saved = time.monotonic()
@@ -229,16 +241,19 @@ def train(
             if log is not None:
                 log.add(step, loss.detach(), terms, norm, optimiser.param_groups[0]["lr"])
             if progress is not None and here.first:
-                words = f"training {recipe.name}, step {step} of {last}"
-                progress(step - first, last - first, words)
-            if step % recipe.check_every == 0 or step == recipe.steps:
+                if seconds is not None and last == ENDLESS:
+                    gone = min(time.monotonic() - began, seconds)
+                    progress(gone, seconds, f"training {recipe.name}, step {step}")
+                else:
+                    words = f"training {recipe.name}, step {step} of {last}"
+                    progress(step - first, last - first, words)
+            if step % recipe.check_every == 0 or (step == recipe.steps and seconds is None):
                 if here.first and log is not None:
                     best = _check(run, task, mean, here.device, step, best, log)
                     save()
                     if after_check is not None:
                         after_check(run)
-                if here.world > 1:
-                    torch.distributed.barrier()
+                here.wait()
             elif time.monotonic() - saved > SAVE_EVERY:
                 save()
     finally:
@@ -266,6 +281,27 @@ def schedule(recipe: TrainRecipe, step: int, share: float | None = None) -> floa
         else (step - recipe.warmup) / max(1, recipe.steps - recipe.warmup)
     )
     return recipe.last_rate + (1 - recipe.last_rate) * 0.5 * (1 + math.cos(math.pi * min(done, 1)))
+
+
+def join(device: str) -> Process:
+    """This process among those of ``torchrun``; alone without it.
+
+    Raises `OptionError` for an unknown device, `EngineError` for one that is not there.
+    """
+    if device not in ("auto", "cpu", "cuda"):
+        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise EngineError(
+            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
+        )
+    kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+    world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
+    here = int(os.environ.get("LOCAL_RANK", 0))
+    place = torch.device("cuda", here) if kind == "cuda" else torch.device("cpu")
+    if world > 1 and not torch.distributed.is_initialized():
+        backend = "cpu:gloo,cuda:nccl" if kind == "cuda" else "gloo"
+        torch.distributed.init_process_group(backend, timeout=PATIENCE)
+    return Process(rank, world, place)
 
 
 def use_threads(count: int) -> None:
@@ -311,22 +347,6 @@ def _step(optimiser: torch.optim.Optimizer, norm: torch.Tensor) -> None:
         optimiser.step()
     elif bool(torch.isfinite(norm)):
         optimiser.step()
-
-
-def _process(device: str) -> _Process:
-    if device not in ("auto", "cpu", "cuda"):
-        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise EngineError(
-            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
-        )
-    kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
-    world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
-    here = int(os.environ.get("LOCAL_RANK", 0))
-    place = torch.device("cuda", here) if kind == "cuda" else torch.device("cpu")
-    if world > 1 and not torch.distributed.is_initialized():
-        torch.distributed.init_process_group("nccl" if kind == "cuda" else "gloo")
-    return _Process(rank, world, place)
 
 
 def _prepare(run: Run, recipe: TrainRecipe) -> None:

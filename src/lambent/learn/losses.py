@@ -14,6 +14,8 @@ from torch import Tensor
 EPSILON = 0.01
 #: How strongly the noise of a target takes from its weight.
 DISCOUNT = 4.0
+#: A noisy input that is off by less than this counts as no cleaner; one off by so much weighs 1.
+CLEAN, TYPICAL = 0.02, 0.15
 #: A preference of 1 multiplies the loss by 1 + ASYMMETRY on the wrong side.
 ASYMMETRY = 8.0
 
@@ -83,19 +85,33 @@ def trust(r: Tensor, deviation: Tensor) -> Tensor:
     return s * s / (s * s + DISCOUNT * variance)
 
 
+def evened(r: Tensor, c: Tensor, weight: Tensor) -> Tensor:
+    """Weights of crops ``(B, 1, 1, 1)``: the less, the noisier the input c is.
+
+    An error is judged by its ratio to another denoiser's on the same frame. A loss left as it is
+    would be that of crops with one or two samples; those of hundreds have a tenth of it, and so
+    hardly a say. With L the input's own `logarithmic` loss the weight goes as 1 / √(L + `CLEAN`):
+    the root, because in a clean crop much of what is left is the target's noise.
+    """
+    noise = (weight * logarithmic(c, r)).mean((1, 2, 3), keepdim=True)
+    return ((TYPICAL + CLEAN) / (noise + CLEAN)).sqrt()
+
+
 def denoising(
     x: Tensor, r: Tensor, c: Tensor, deviation: Tensor, preference: Tensor
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """The loss that Lambent's denoiser is trained with, and its terms."""
     weight = trust(r, deviation)
     weight = weight / weight.mean((1, 2, 3), keepdim=True)
+    share = evened(r, c, weight)
+    weight = weight * share
     own = weight * asymmetric(x, r, c, preference)
     wide = logarithmic(F.avg_pool2d(x, 4), F.avg_pool2d(r, 4))
     terms = {
         "log": (own * logarithmic(x, r)).mean(),
         "square": (own * relative_square(x, r, deviation)).mean(),
         "gradient": (weight * gradient(x, r)).mean(),
-        "wide": wide.mean(),
+        "wide": (share * wide).mean(),
     }
     total = terms["log"] + terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
     return total, terms

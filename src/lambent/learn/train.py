@@ -14,7 +14,7 @@ from lambent.denoise.model_file import find_model, read_model
 from lambent.frame.atomic import atomic, check_target
 from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
-from lambent.learn.loop import Progress, Run
+from lambent.learn.loop import Progress, Run, join
 from lambent.learn.loop import train as run_loop
 from lambent.learn.recipe import TrainRecipe, load_train_recipe
 from lambent.learn.tasks import TASKS
@@ -38,8 +38,8 @@ def train(
 
     ``run``: folder of the run (None: `run_folder`). ``output``: write the best weights as a model
     file. ``start``: a model, by name or path, or a run's folder, to begin with. ``steps``: stop
-    after so many in all, for now. ``seconds``: train for so long, with the schedule of the rate by
-    the clock. ``after_check`` is called after each validation. Example::
+    after so many in all, for now. ``seconds``: train for so long instead, with the schedule of the
+    rate by the clock. ``after_check`` is called after each validation. Example::
 
         run = lambent.train("recipes/train/denoiser.toml", output="mine.lambent")
         run.lines()[-1]
@@ -50,13 +50,20 @@ def train(
     if output is not None:
         check_target(output, overwrite)
     make_task = TASKS[chosen.task]
-    chosen = with_data(chosen, device, progress)
-    task = make_task(chosen, cache_folder() / "training", progress)
+    here = join(device)
+    place = cache_folder() / "training"
+    if not here.first:  # data are made and unpacked once
+        here.wait()
+    chosen = with_data(chosen, device, progress, missing=here.first)
+    task = make_task(chosen, place, progress if here.first else None)
+    if here.first:
+        here.wait()
     folder = Path(run) if run is not None else run_folder(chosen)
     weights = None
     if not Run(folder).state.exists():  # a run that goes on has weights of its own
         if start is not None:
             weights = _weights(start)
+        if start is not None and here.first:
             folder.mkdir(parents=True, exist_ok=True)
             with atomic(Run(folder).begun, overwrite=True) as handle:
                 handle.write(json.dumps(story(start), indent=1).encode())
@@ -71,7 +78,7 @@ def train(
         close = getattr(task, "close", None)
         if close is not None:
             close()
-    if output is not None:
+    if output is not None and here.first:
         export_run(done, task, Path(output), overwrite)
     return done
 

@@ -113,6 +113,8 @@ class Keyframes:
         at = np.atleast_1d(np.asarray(section.get("at", [self.table["frames"][0]]), float))
         values = np.asarray(section[key], float)
         single = {"fov": 0, "angle": 0}.get(key, 1)
+        if values.ndim < single:  # scale = 2
+            values = values[None]
         if values.ndim == single:
             values = values[None]
         if len(values) == 1:
@@ -127,7 +129,7 @@ class Keyframes:
 
 
 _KEYS = {
-    "": {"frames", "camera", "object", "shutter"},
+    "": {"frames", "camera", "object"},
     "camera": {"at", "origin", "target", "up", "fov", "interpolation"},
     "object": {"shape", "at", "translate", "axis", "angle", "scale", "pivot", "interpolation"},
 }
@@ -176,8 +178,7 @@ def read_keyframes(path: str | Path) -> Keyframes:
 class Stage:
     """A loaded scene whose camera and shapes an animation moves.
 
-    The scene is changed in place: `pose` puts everything where a frame has it. ``shutter``: share
-    of the time between frames during which light is gathered, 0 for none.
+    The scene is changed in place: `pose` puts everything where a frame has it.
     """
 
     def __init__(self, mi: Any, scene: Any, sensor: Any, animation: Animation) -> None:

@@ -104,11 +104,25 @@ def render_all(
     with what ``output`` holds. ``checkpoint``: seconds after which ``output`` is written again.
     ``report(number, state)`` is called after every pass, ``note`` with remarks, ``written`` after
     every checkpoint.
+
+    A .blend is rendered by Cycles, whole pictures with all features and the light groups and
+    animation of the file: there ``time`` alone means at most 4,096 spp, and what is not Cycles' to
+    do is refused.
     Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.
     """
     if isinstance(source, (str, os.PathLike)) and str(source).endswith(".blend"):
-        if target_error is not None:
-            raise OptionError("Cycles renders so many samples, not up to an error")
+        _refuse_for_cycles(
+            {
+                "target_error": target_error is not None,
+                "resume": resume,
+                "spp=+N": isinstance(spp, str) and spp.startswith("+"),
+                "features": features != "all",
+                "integrator": integrator != "path",
+                "light_groups": bool(light_groups),
+                "animation": animation is not None,
+                "parameters": bool(parameters),
+            }
+        )
         return _cycles(
             source,
             output,
@@ -299,13 +313,34 @@ def _shot(
     before: Frame | None = None
     for number in numbers:
         path = None if output is None else Path(put_number(str(output), number))
-        # The first frame of all has no previous one: its motion is nought.
-        previous = number if before is None and number == numbers[0] else number - 1
+        # The first frame of all has no previous one: its motion is nought. A file of keyframes
+        # says which that is; of a function it is the first that is asked for.
+        first = moving.frames[0] if isinstance(moving, Keyframes) else numbers[0]
+        previous = number - 1 if number > first else number
         motion = stage.motion(number, previous)
+        if before is None and previous != number and output is not None:
+            before = _rendered_before(Path(put_number(str(output), previous)))
         result = job.picture(number, path, motion, before if previous != number else None)
         done.append(result)
         before = result.frame
     return done
+
+
+def _rendered_before(path: Path) -> Frame | None:
+    """The frame before the first of this call, where an earlier call left it."""
+    return read(path) if path.exists() else None
+
+
+def _refuse_for_cycles(given: Mapping[str, bool]) -> None:
+    """Raises `OptionError` for an option that only Mitsuba scenes know."""
+    asked = [name for name, there in given.items() if there]
+    if asked:
+        name = asked[0].replace("_", "-")
+        raise OptionError(
+            f"'{name}' is for Mitsuba scenes: Cycles renders whole pictures of so many samples, "
+            "with all features and the file's own animation and light groups",
+            remedy=f"leave out {name} for a .blend",
+        )
 
 
 def _cycles(

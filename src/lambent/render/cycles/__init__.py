@@ -9,7 +9,7 @@ Example: ``render_blend("kitchen.blend", spp=32)`` is a frame for ``lambent.deno
 
 from __future__ import annotations
 
-from lambent.render.cycles.blend import render_blend
+from lambent.render.cycles.blend import render_blend, render_blend_frames
 from lambent.render.cycles.find import cycles_available, find_blender
 from lambent.render.cycles.worker import CyclesWorker, RandomView, render_random
 
@@ -19,5 +19,6 @@ __all__ = [
     "cycles_available",
     "find_blender",
     "render_blend",
+    "render_blend_frames",
     "render_random",
 ]
