@@ -1,6 +1,6 @@
 """A data set as plain arrays, so that training never waits for an EXR to be unpacked.
 
-A cached still is one file of half floats, ``(25 L + 7, H, W)``: for each of its L noise levels the
+A cached still is one file of half floats, ``(23 L + 7, H, W)``: for each of its L noise levels the
 planes of `denoise.inputs.signals_of`, then those of `denoise.lobes` that it lacks, in the order of
 `STORED`; then the target's colour, the deviation of its mean, and its diffuse part. Colours are at
 the target's exposure (`kernels.oidn.exposure`), where a half float holds 6e-8 to 65504.

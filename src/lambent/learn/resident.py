@@ -1,10 +1,10 @@
 """Stills that live on the device, and whole batches made there.
 
 On a large GPU the network is done with a crop long before a processor has read, turned and coloured
-the next one (`learn.batches`). So all stills are kept in the device's memory as half floats (about
-2 MB each), and everything that `learn.augment`, `learn.lamps` and `learn.splat` do to one example
-is done here to all rows of a batch at once, with random numbers that follow from the seed and the
-step. Three things are added that a row at a time would be too slow for:
+the next one (`learn.batches`). So all stills are kept in the device's memory as half floats (1.6 MB
+each), and everything that `learn.augment`, `learn.lamps` and `learn.splat` do to one example
+is done here to all rows of a batch at once, with random numbers that follow from the seed,
+the step and the process. Three things are added that a row at a time would be too slow for:
 
 - **paint**: all surfaces get another texture. Colour, target and albedo are multiplied by one
   picture, since light that has left the surface once is proportional to the albedo;

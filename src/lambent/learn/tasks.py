@@ -2,7 +2,7 @@
 
 from lambent.registry import Registry
 
-#: An entry is a class that a recipe, the cache's folder and a progress function make a `Task` of.
+#: An entry is a function of a recipe, the cache's folder and a progress function to a `Task`.
 TASKS = Registry(
     "task",
     {
