@@ -65,6 +65,12 @@ def denoise(
         float,
         typer.Option(metavar="0..1", help="Blend from the input (0) to the denoised frame (1)."),
     ] = 1.0,
+    keep_light: Annotated[
+        bool,
+        typer.Option(
+            "--keep-light", help="Give the light of fireflies to their surroundings, at some error."
+        ),
+    ] = False,
     alpha: Annotated[
         bool | None,
         typer.Option(
@@ -117,6 +123,7 @@ def denoise(
         model=model,
         passes=passes,
         strength=strength,
+        keep_light=keep_light,
         alpha=alpha,
         roles=pairs("--map", mapping),
         albedo=albedo,

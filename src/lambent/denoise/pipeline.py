@@ -16,7 +16,8 @@ The order and the reasons:
    then ``(1 − s) · input + s · result``, for every layer alike, so sums hold here too.
 
 How much light the beauty has gained or lost is told: a filter redistributes fireflies, and what it
-gives their surroundings is less than they had.
+gives their surroundings is less than they had. Where it is asked for, they get all of it
+(`denoise.light`), before 4.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from lambent.denoise import memory
+from lambent.denoise.light import keep_light
 from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
@@ -69,7 +71,8 @@ SMALL_MARGIN = 40
 class Settings:
     """What to do to a frame. `checked` makes one from loose options and refuses nonsense.
 
-    ``passes``: ``"beauty"``, ``"all"`` or names. ``strength`` in [0, 1]. ``alpha``: filter the
+    ``passes``: ``"beauty"``, ``"all"`` or names. ``strength`` in [0, 1]. ``keep_light``: give light
+    that was lost back to where it was lost (`denoise.light`). ``alpha``: filter the
     coverage too, or None for "where it is noisy". ``roles``: role to layer name, as in ``--map``.
     ``max_memory`` in bytes, for the whole process. ``threads``: None for all. ``params``: of the
     model.
@@ -78,6 +81,7 @@ class Settings:
     model: str = DEFAULT_MODEL
     passes: str | tuple[str, ...] = "all"
     strength: float = 1.0
+    keep_light: bool = False
     alpha: bool | None = None
     roles: Mapping[str, str] = field(default_factory=dict)
     max_memory: int | None = None
@@ -91,6 +95,7 @@ class Settings:
         model: str = DEFAULT_MODEL,
         passes: str | Iterable[str] = "all",
         strength: float = 1.0,
+        keep_light: bool = False,
         alpha: bool | None = None,
         roles: Mapping[str, str] | None = None,
         albedo: str | None = None,
@@ -129,6 +134,7 @@ class Settings:
             model=model,
             passes=passes if isinstance(passes, str) else tuple(passes),
             strength=float(strength),
+            keep_light=keep_light,
             alpha=alpha,
             roles=chosen,
             max_memory=None if max_memory is None else parse_size(max_memory),
@@ -155,6 +161,7 @@ class Settings:
             "model": self.model,
             "passes": self.passes if isinstance(self.passes, str) else ",".join(self.passes),
             "strength": self.strength,
+            **({"keep_light": True} if self.keep_light else {}),
             "alpha": self.alpha,
             "roles": dict(sorted(self.roles.items())),
             "params": {name: str(value) for name, value in sorted(self.params.items())},
@@ -181,6 +188,7 @@ def denoise(
     model: str = DEFAULT_MODEL,
     passes: str | Iterable[str] = "all",
     strength: float = 1.0,
+    keep_light: bool = False,
     alpha: bool | None = None,
     roles: Mapping[str, str] | None = None,
     albedo: Any = None,
@@ -195,6 +203,7 @@ def denoise(
 
     ``model`` and its ``params`` as listed by ``lambent models``. ``passes``: ``"beauty"``,
     ``"all"`` lighting layers, or names. ``strength`` blends from the input (0) to the result (1).
+    ``keep_light``: the light of fireflies, which every filter loses, goes to their surroundings.
     ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: with a
     file, names of layers; with an array, arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
     ``roles``: role to layer name. ``max_memory``: bytes, or text such as ``"4G"``.
@@ -211,6 +220,7 @@ def denoise(
         model=model,
         passes=passes,
         strength=strength,
+        keep_light=keep_light,
         alpha=alpha,
         roles=roles,
         albedo=albedo if named else None,
@@ -253,6 +263,8 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     if progress is not None:
         progress(0, 1, "filtering")
     cleaned = filter_tiles(fitted, repaired, chosen, plan, progress)
+    if settings.keep_light:
+        cleaned = keep_light(chosen, cleaned)
     clock.done("filter")
     finished = _finish(
         frame.noted(*repaired.notes[len(frame.notes) :]),
