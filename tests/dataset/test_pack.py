@@ -150,7 +150,11 @@ def test_damage_is_told(tmp_path):
     path = tmp_path / "item.exr"
     path.write_bytes(content[: len(content) * 2 // 3])
     with pytest.raises(DamagedFileError):
-        check_pixels(path)
+        check_pixels(path, WINDOW.edge)
+    path.write_bytes(content)
+    check_pixels(path, WINDOW.edge)
+    with pytest.raises(DamagedFileError, match="is 32x32 pixels in place of 33x33"):
+        check_pixels(path, WINDOW.edge + 1)
     plain = Frame.from_layers([Layer(Role.COLOUR, np.ones((8, 8, 3), np.float32))])
     from lambent.frame.files import write
 

@@ -77,7 +77,7 @@ def verify(folder: Path, progress: Report = _silent) -> Verdict:
     for n, line in enumerate(lines.values()):
         file = str(line.get("file"))
         progress(n, len(lines), file)
-        wrong = problem(folder, line)
+        wrong = problem(folder, line, recipe.crop)
         if wrong == "":
             missing.append(file)
         elif wrong is not None:
@@ -90,8 +90,11 @@ def verify(folder: Path, progress: Report = _silent) -> Verdict:
     return Verdict(folder, good, wanted, corrupt, tuple(missing), strangers)
 
 
-def problem(folder: Path, line: Line) -> str | None:
-    """What is wrong with an item's file, in words; "" if it is missing, None if it is sound."""
+def problem(folder: Path, line: Line, edge: int) -> str | None:
+    """What is wrong with an item's file, in words; "" if it is missing, None if it is sound.
+
+    ``edge``: of its crops, in pixels.
+    """
     path = folder / str(line.get("file"))
     if not path.exists():
         return ""
@@ -100,7 +103,7 @@ def problem(folder: Path, line: Line) -> str | None:
             return f"has {path.stat().st_size} bytes in place of {line['bytes']}"
         if sha256_of(path) != line["sha256"]:
             return "its content is not what was written (sha256)"
-        check_pixels(path)
+        check_pixels(path, edge)
     except (FileError, OSError) as error:
         return getattr(error, "message", str(error))
     except KeyError as error:
@@ -176,7 +179,7 @@ def _adopted(folder: Path, file: str, key: ItemKey, recipe: Recipe) -> Line | No
     """The line of a whole file whose process died before it could write one."""
     path = folder / file
     try:
-        check_pixels(path)
+        check_pixels(path, recipe.crop)
         about = about_file(path)
     except FileError:
         return None

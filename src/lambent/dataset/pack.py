@@ -113,11 +113,20 @@ def about_file(path: Path) -> dict[str, Any]:
     return _about(decode(path))
 
 
-def check_pixels(path: Path) -> None:
-    """Decode everything in a file. Raises `FileError` or `DamagedFileError`."""
+def check_pixels(path: Path, edge: int) -> None:
+    """Decode everything in a file of crops ``edge`` pixels wide.
+
+    Raises `FileError` or `DamagedFileError`.
+    """
     exr = decode(path)
     _about(exr)
     for part in exr.parts:
+        if (part.width, part.height) != (edge, edge):
+            raise DamagedFileError(
+                f"is {part.width}x{part.height} pixels in place of {edge}x{edge}",
+                file=path,
+                remedy="delete it, then " + REMAKE.removeprefix("make it again: "),
+            )
         for channel in part.channels.values():
             assert channel.data.shape == (part.height, part.width)
 

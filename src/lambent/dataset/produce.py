@@ -198,7 +198,12 @@ def _batch(
         for index in items:
             spp = level_spp(recipe, job, index)
             stills = scene.stills(camera, recipe.crop, spp, _least(recipe, job, spp))
-            _ = [_sound(frame) for still in stills for frame in (*still.levels, still.target)]
+            for frame in (frame for still in stills for frame in (*still.levels, still.target)):
+                if (frame.height, frame.width) != (recipe.crop, recipe.crop):
+                    raise LambentError(
+                        f"a crop of {recipe.crop} pixels came out {frame.width}x{frame.height}"
+                    )
+                _sound(frame)
             made.append(stills)
         return made
     with phases("scene"):

@@ -36,6 +36,14 @@ def test_same_seed_same_pictures(worker: CyclesWorker, blender) -> None:
             np.testing.assert_array_equal(again.noisy[0].colour, first.noisy[0].colour)
 
 
+@pytest.mark.parametrize("seed", [873646366, 313665865])
+def test_a_window_is_as_large_as_asked_for(worker: CyclesWorker, seed: int) -> None:
+    """Windows whose shares of the picture do not fall on whole pixels in float32."""
+    (view,) = small(worker, seed, spp_list=(1,), size=(128, 128), reference_spp=4)
+    for made in (*view.noisy, view.target):
+        assert (made.width, made.height) == (128, 128)
+
+
 def test_levels(worker: CyclesWorker) -> None:
     """Each level's error against the target is its variance (and the target's), as told."""
     ratios = []

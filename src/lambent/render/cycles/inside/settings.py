@@ -128,12 +128,17 @@ def _size(render: Any, order: dict[str, Any]) -> None:
         window = order.get("window")
         if window:
             left, top, right, bottom = window
-            # The border is given in shares of the whole; half a pixel inside, rounding is safe.
             whole_x, whole_y = round(width / (right - left)), round(height / (bottom - top))
             x, y = round(left * whole_x), round(top * whole_y)
-            render.border_min_x, render.border_max_x = x / whole_x, (x + width) / whole_x
-            render.border_min_y = 1 - (y + height) / whole_y
-            render.border_max_y = 1 - y / whole_y
+            low = whole_y - y - height  # rows count from below
+            # The border is given in shares of the whole, float32, and Blender cuts off what is
+            # behind the comma: 56 / 213 of 213 would be 55. A quarter of a pixel further is safe.
+            render.border_min_x, render.border_max_x = (
+                (edge + 0.25) / whole_x for edge in (x, x + width)
+            )
+            render.border_min_y, render.border_max_y = (
+                (edge + 0.25) / whole_y for edge in (low, low + height)
+            )
             width, height = whole_x, whole_y
         render.use_border = render.use_crop_to_border = bool(window)
         render.resolution_x, render.resolution_y = int(width), int(height)
