@@ -106,15 +106,12 @@ def denoising(
     share = evened(r, c, weight)
     weight = weight * share
     own = weight * asymmetric(x, r, c, preference)
-    wide, light = (logarithmic(F.avg_pool2d(x, n), F.avg_pool2d(r, n)) for n in (4, 16))
+    wide = logarithmic(F.avg_pool2d(x, 4), F.avg_pool2d(r, 4))
     terms = {
         "log": (own * logarithmic(x, r)).mean(),
         "square": (own * relative_square(x, r, deviation)).mean(),
         "gradient": (weight * gradient(x, r)).mean(),
         "wide": (share * wide).mean(),
-        # a lamp of one pixel is nothing in a mean over pixels, but most of the light around it
-        "light": (share * light).mean(),
     }
     total = terms["log"] + terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
-    total = total + 0.5 * terms["light"]
     return total, terms
