@@ -98,6 +98,31 @@ def test_shrunk_crops_have_the_noise_of_four_times_the_samples():
     torch.testing.assert_close(small.target[:, 3], small.layer("colour_std")[:, 0])
 
 
+def test_thinned_samples_have_the_same_mean_and_say_how_noisy_they_are():
+    rng = torch.Generator().manual_seed(3)
+    count, n, level, deviation = 64, 16, 0.7, 0.2  # deviation: of the mean of n samples
+    planes = torch.zeros(count, resident.PLANES, 24, 24)
+    planes[:, :3] = level + deviation * torch.randn(count, 1, 24, 24, generator=rng)
+    rows = resident.Rows(
+        planes,
+        torch.ones(count, len(resident.NAMES)),
+        torch.zeros(count, 4, 24, 24),
+        torch.full((count,), float(n)),
+    )
+    rows.layer("colour_std")[:] = deviation
+    resident.thinned(rows, rng)
+    assert float(rows.planes[:, :3].mean()) == pytest.approx(level, rel=0.02)
+    spread = rows.planes[:, 0].std((1, 2))
+    told = rows.layer("colour_std").square().mean((1, 2, 3)).sqrt()
+    assert float((spread / told).mean()) == pytest.approx(1, abs=0.06)
+    assert float(spread.max()) > 1.3 * deviation
+    one = resident.Rows(planes[:, :, :8, :8], rows.there, rows.target, torch.ones(count))
+    one.planes[:, :3] = 1.0
+    resident.thinned(one, rng)
+    empty = (one.planes[:, 0] == 0).float().mean()
+    assert 0.2 < float(empty) < 0.8  # pixels without light
+
+
 def test_some_batches_are_shrunk(stills, monkeypatch):
     residents = resident.Residents(stills, CPU)
     monkeypatch.setattr(resident, "LEAST", 16)

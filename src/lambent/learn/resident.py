@@ -4,7 +4,7 @@ On a large GPU the network is done with a crop long before a processor has read,
 the next one (`learn.batches`). So all stills are kept in the device's memory as half floats (1.6 MB
 each), and everything that `learn.augment`, `learn.lamps` and `learn.splat` do to one example
 is done here to all rows of a batch at once, with random numbers that follow from the seed,
-the step and the process. Three things are added that a row at a time would be too slow for:
+the step and the process. Four things are added that a row at a time would be too slow for:
 
 - **paint**: all surfaces get another texture. Colour, target and albedo are multiplied by one
   picture, since light that has left the surface once is proportional to the albedo;
@@ -12,7 +12,10 @@ the step and the process. Three things are added that a row at a time would be t
   pattern that no feature knows of, so that the network learns to find edges in the light itself;
 - **shrinking**: some batches are four times as many crops at half their size. Four pixels together
   are a pixel of the smaller picture with four times the samples, noisy picture and target alike.
-  That is exact, and it is where crops of 64 to 1,024 samples come from, which are dear to render.
+  That is exact, and it is where crops of 64 to 1,024 samples come from, which are dear to render;
+- **thinning**: of the samples of a crop some are dropped and the others weigh more, as if the
+  renderer had drawn one lamp of several, or ended paths by chance. The mean stays, the noise grows,
+  and at few samples there are pixels without light, as Cycles has them and Mitsuba has not.
 """
 
 from __future__ import annotations
@@ -49,6 +52,8 @@ _FROM = [k for k, name in enumerate(_STORED) if name is None or name in LAYERS]
 _MEANS = slice(0, max(_AT[n].stop for n in NAMES if not n.endswith("_std")))
 #: Share of the rows that get another texture, and another pattern of light.
 PAINTED, SHADED = 0.3, 0.3
+#: Share of the rows whose samples are thinned, and the shares of samples that are kept.
+THINNED, KEPT = 0.3, (0.15, 0.9)
 #: Share of the batches that are at half size.
 SHRUNK = 0.35
 #: Smaller crops than this are not made: a pixel of the coarsest scale is 16 wide.
@@ -204,6 +209,7 @@ def batch_of(
     else:
         rows = residents.rows(size, rng)
     rows = turned(rows, rng)
+    _some(rows, THINNED, rng, thinned)
     _some(rows, SHADED, rng, shaded)
     _some(rows, lamps.SHARE, rng, lit)
     spp = rows.spp.clone()
@@ -272,6 +278,27 @@ def turned(rows: Rows, rng: torch.Generator) -> Rows:
     normal = rows.layer("normal").flatten(2)
     rows.planes[:, _AT["normal"]] = torch.bmm(q, normal).unflatten(2, both.shape[2:])
     return rows
+
+
+def thinned(rows: Rows, rng: torch.Generator) -> None:
+    """Each sample is kept with a chance p, and then weighs 1 / p: the same light, more noise.
+
+    Of a pixel's n samples only the mean c and its variance σ² are known: k ~ B(n, p) of them are
+    kept, with that mean. c' = c k / (n p) then has the variance σ² + (μ² + σ²) (1 - p) / (n p),
+    which is told as k / (n p) (σ² + c² (1 - p) / (n p)): the same in the mean, and none where no
+    sample has light, as a renderer would say.
+    """
+    size = len(rows.planes)
+    p = _log_uniform(_random(size, 1, rng), KEPT)[:, :, None, None]
+    n = rows.spp.round().clamp_min(1)[:, None, None, None]
+    shape = (size, 1, *rows.planes.shape[2:])
+    kept = torch.binomial(n.expand(shape).contiguous(), p.expand(shape).contiguous(), generator=rng)
+    share = kept / (n * p)
+    colour, spread = rows.planes[:, :3], rows.layer("colour_std")
+    squares = (colour * colour).mean(1, keepdim=True)
+    told = share * (spread * spread + squares * (1 - p) / (n * p))
+    rows.planes[:, _AT["colour_std"]] = told.sqrt()
+    rows.planes[:, :3] = colour * share
 
 
 def recoloured(rows: Rows, rng: torch.Generator) -> None:
