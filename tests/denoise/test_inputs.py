@@ -41,7 +41,9 @@ def by_numpy(made, preference=0.3):
     signals = inputs.signals_of(made, whole.depth)
     planes = inputs.encode(np, signals, whole.exposure)
     high, wide = padded(made.height), padded(made.width)
-    planes = np.pad(planes, ((0, 0), (0, high - made.height), (0, wide - made.width)), mode="edge")
+    planes = np.pad(
+        planes, ((0, 0), (0, high - made.height), (0, wide - made.width)), mode="symmetric"
+    )
     return inputs.pack(np, planes, inputs.constants(signals, preference))
 
 

@@ -2,7 +2,8 @@
 
 `packed_inputs` computes what `inputs.signals_of`, `inputs.encode` and `inputs.pack` say, in one
 Dr.Jit kernel: a thread takes four pixels, reads every layer once and writes every channel. The
-frame is continued to multiples of 32 by its last row and column. `split` and `merged` are the two
+frame is continued to multiples of 32 by its mirror image: the last row again and again would be
+stripes, which a network takes for texture as far as it can see. `split` and `merged` are the two
 ends of the filter: colour and colour/albedo as planes, and both put together by the gate.
 """
 
@@ -152,9 +153,15 @@ def packed_inputs(
     last_column = dr.opaque(module.UInt32, given.width - 1)
     stride = dr.opaque(module.UInt32, given.width)
     size = dr.opaque(module.UInt32, count)
+
+    def mirrored(place: Any, last: Any) -> Any:
+        # 0 … last, last, last - 1, …; the first again where a frame is smaller than what it lacks
+        beyond = dr.minimum(place - dr.minimum(place, last + 1), last)
+        return dr.select(place > last, last - beyond, place)
+
     for number in range(4):
         y, x = divmod(number, 2)
-        pixel = dr.minimum(2 * row + y, last_row) * stride + dr.minimum(2 * column + x, last_column)
+        pixel = mirrored(2 * row + y, last_row) * stride + mirrored(2 * column + x, last_column)
 
         def read(name: str, at: Any = pixel) -> list[Any]:
             array, channels = arrays[name]
