@@ -347,10 +347,10 @@ def _halved(image: FloatImage) -> FloatImage:
 
 
 def _continued(planes: FloatImage, multiple: int) -> FloatImage:
-    """Mirrored at the right and lower border until the sides are multiples of a number."""
+    """Repeated at the right and lower border until the sides are multiples of a number."""
     more = [-n % multiple for n in planes.shape[1:]]
     return (
-        np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "symmetric") if any(more) else planes
+        np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "edge") if any(more) else planes
     )
 
 
