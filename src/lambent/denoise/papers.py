@@ -349,9 +349,7 @@ def _halved(image: FloatImage) -> FloatImage:
 def _continued(planes: FloatImage, multiple: int) -> FloatImage:
     """Repeated at the right and lower border until the sides are multiples of a number."""
     more = [-n % multiple for n in planes.shape[1:]]
-    return (
-        np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "edge") if any(more) else planes
-    )
+    return np.pad(planes, ((0, 0), (0, more[0]), (0, more[1])), "edge") if any(more) else planes
 
 
 def _folded(weights: FloatImage, height: int, width: int) -> FloatImage:
