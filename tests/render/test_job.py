@@ -194,6 +194,9 @@ def test_a_later_part_of_a_shot_has_the_same_motion(scene, tmp_path):
         )
     np.testing.assert_array_equal(whole[1].frame[Role.MOTION], alone[0].frame[Role.MOTION])
     assert "disocclusion_mask" not in alone[0].frame.extras  # nothing is known of frame 1
+    gap = render_all(scene, str(tmp_path / "d.####.exr"), spp=2, frames=(1, 3))
+    np.testing.assert_array_equal(gap[1].frame[Role.MOTION], whole[2].frame[Role.MOTION])
+    assert "disocclusion_mask" not in gap[1].frame.extras  # nor of 2: 1 is not the one before
 
 
 @pytest.mark.parametrize(

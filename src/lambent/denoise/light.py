@@ -58,10 +58,7 @@ def _local(image: FloatImage) -> FloatImage:
     height, width = light.shape
     rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
     blocks = np.add.reduceat(np.add.reduceat(light, rows, axis=0), columns, axis=1)
-    found: FloatImage = blocks
-    for axis in (0, 1):
-        found = np.tensordot(_gaussian(found.shape[axis]), found, axes=(1, axis))
-        found = found if axis == 0 else found.T
+    found: FloatImage = _gaussian(len(rows)) @ blocks @ _gaussian(len(columns))
     return found
 
 

@@ -318,16 +318,16 @@ def _shot(
         first = moving.frames[0] if isinstance(moving, Keyframes) else numbers[0]
         previous = number - 1 if number > first else number
         motion = stage.motion(number, previous)
-        if before is None and previous != number and output is not None:
-            before = _rendered_before(Path(put_number(str(output), previous)))
+        if not done or done[-1].number != previous:  # the first of this call, or one was left out
+            before = None if output is None else _earlier(Path(put_number(str(output), previous)))
         result = job.picture(number, path, motion, before if previous != number else None)
         done.append(result)
         before = result.frame
     return done
 
 
-def _rendered_before(path: Path) -> Frame | None:
-    """The frame before the first of this call, where an earlier call left it."""
+def _earlier(path: Path) -> Frame | None:
+    """The frame before, where an earlier call left it."""
     return read(path) if path.exists() else None
 
 
