@@ -6,7 +6,7 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
 BANDS = (1, 8, 64)
 #: Rows that int8 is calibrated with.
 CALIBRATION = 128
+#: Batches that a GPU makes at once: for each alone it waits for the launches of a thousand kernels.
+TOGETHER = 4
 #: Seconds from one look for new crops to the next, where a run follows its data.
 LOOK_EVERY = 5.0
 
@@ -127,6 +129,7 @@ class DenoisingTask:
         self._place: Path | None = None
         self._follower: Follower | None = None
         self._looked = 0.0
+        self._drawn: tuple[int, list[tuple[Tensor, ...]]] | None = None
 
     def network(self) -> nn.Module:
         """A fresh network of the recipe's size."""
@@ -147,9 +150,18 @@ class DenoisingTask:
             )
         model = RoundedNet(self.recipe.size)
         model.load_state_dict(dict(weights), strict=False)
-        examples = [row(self.train, self.recipe.seed + 1, 0, n) for n in range(CALIBRATION // 2)]
-        model.fit(torch.from_numpy(np.stack([r.packed for r in examples])))
+        model.fit(self._measured_on(model))
         return model.state_dict()
+
+    def _measured_on(self, model: RoundedNet) -> Tensor:
+        """Packed inputs to begin the steps of int8 with, where they are quick to make."""
+        count, seed = CALIBRATION // 2, self.recipe.seed + 1
+        if self.device == "cuda":
+            model.cuda()
+            self._residents = Residents(self.train.stills, torch.device("cuda"))
+            return batch_of(self._residents, seed, 0, count)[0]
+        rows = [row(self.train, seed, 0, n).packed for n in range(count)]
+        return torch.from_numpy(np.stack(rows))
 
     def follow(self, place: Path) -> None:
         """Take in what is added to the data from now on, and unpacked below ``place``."""
@@ -171,7 +183,18 @@ class DenoisingTask:
         self, model: nn.Module, batch: Any, device: torch.device
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
+        return self.loss_of(model, self.tensors(batch, device))
+
+    def tensors(self, batch: Any, device: torch.device) -> tuple[Tensor, ...]:
+        """A batch as the fields of a `Batch`, on the device."""
         b = Batch.of(batch, device) if isinstance(batch, list) else self._made(batch, device)
+        return tuple(getattr(b, field.name) for field in fields(Batch))
+
+    def loss_of(
+        self, model: nn.Module, tensors: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of `tensors`: nothing in it asks the device for a number."""
+        b = Batch(*tensors)
         x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
 
@@ -188,7 +211,12 @@ class DenoisingTask:
             self._residents.add(
                 [s for s in stills if not is_held_out(s.scene, self.recipe.held_out)]
             )
-        packed, *rest = batch_of(self._residents, self.recipe.seed, step, size, rank)
+        together = TOGETHER if device.type == "cuda" else 1
+        draw, part = divmod(step, together)
+        if self._drawn is None or self._drawn[0] != draw:
+            made = batch_of(self._residents, self.recipe.seed, draw, size * together, rank)
+            self._drawn = draw, [t.chunk(together) for t in made]
+        packed, *rest = (chunks[part] for chunks in self._drawn[1])
         return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
 
     def exportable(self, model: nn.Module) -> Exportable:

@@ -41,6 +41,7 @@ from lambent import __version__
 from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
 from lambent.frame.atomic import atomic
 from lambent.frame.tonemap import to_png
+from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Task
 
@@ -203,6 +204,9 @@ def train(
     last = recipe.steps if seconds is None else ENDLESS
     last = min(last, steps if steps is not None else last)
     parallel: nn.Module = DistributedDataParallel(model) if here.world > 1 else model
+    graphed = None
+    if here.device.type == "cuda" and here.world == 1 and hasattr(task, "tensors"):
+        graphed = Graphed(model, task.loss_of)  # type: ignore[attr-defined]
     log = _Log(run, step) if here.first else None
     began = saved = time.monotonic()
 
@@ -231,9 +235,12 @@ def train(
                 break
             for group in optimiser.param_groups:
                 group["lr"] = recipe.rate * schedule(recipe, step, share)
-            loss, terms = task.loss(parallel, next(batches), here.device)
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
+            if graphed is not None:
+                loss, terms = graphed(task.tensors(next(batches), here.device))  # type: ignore[attr-defined]
+            else:
+                loss, terms = task.loss(parallel, next(batches), here.device)
+                optimiser.zero_grad(set_to_none=True)
+                loss.backward()
             norm = nn.utils.clip_grad_norm_(model.parameters(), recipe.clip)
             _step(optimiser, norm)
             step += 1

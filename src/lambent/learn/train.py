@@ -67,6 +67,8 @@ def train(
             folder.mkdir(parents=True, exist_ok=True)
             with atomic(Run(folder).begun, overwrite=True) as handle:
                 handle.write(json.dumps(story(start), indent=1).encode())
+        if hasattr(task, "device"):
+            task.device = here.device.type
         if hasattr(task, "started"):
             weights = task.started(weights)
     try:

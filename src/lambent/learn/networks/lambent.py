@@ -26,7 +26,7 @@ from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply
 WIDTHS = {
     "fast": (32, 48, 64, 80),
     "default": (64, 96, 128, 192),
-    "best": (96, 112, 144, 160),
+    "best": (112, 128, 144, 160),
 }
 #: The image's sides must be multiples of this.
 MULTIPLE = 32
