@@ -5,7 +5,8 @@
 Crops are noise of the right shape (time does not depend on what is in them), on the device as
 `learn.resident` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
 tap by tap, forwards and backwards, and both are timed. "issued": until the processor had asked for
-everything; where that is nearly all of the time, the device waits for the processor.
+everything; where that is nearly all of the time, the device waits for the processor. "recorded": as
+`lambent train` does it on CUDA, the step a CUDA graph (`learn.graphed`), several batches at once.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,8 @@ import torch
 from filters import machine, markdown_table
 from lambent.learn import losses
 from lambent.learn.cache import PLANES_OF, STORED, TARGET_PLANES, Cached
-from lambent.learn.denoising import Batch, cleaned
+from lambent.learn.denoising import TOGETHER, Batch, cleaned
+from lambent.learn.graphed import Graphed
 from lambent.learn.networks import kernel_pyramid
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
 from lambent.learn.networks.rounded import RoundedNet
@@ -108,6 +110,19 @@ def main() -> None:
         packed, *rest = batch_of(residents, 1, next(steps), batch)
         return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
 
+    def several() -> Iterator[Batch]:
+        together = TOGETHER.get(device.type, 1)
+        while True:
+            drawn = batch_of(residents, 1, next(steps), batch * together)
+            for packed, *rest in zip(*(part.chunk(together) for part in drawn), strict=True):
+                yield Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
+
+    def loss_of(
+        model: torch.nn.Module, tensors: Sequence[torch.Tensor]
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        b = Batch(*tensors)
+        return losses.denoising(cleaned(model, b), b.target, b.colour, b.deviation, b.preference)
+
     def cell(what: Callable[[], object]) -> tuple[str, float]:
         whole, issued = timed(device, what, rounds)
         return f"{1e3 * whole:.1f} ({1e3 * issued:.1f})", whole
@@ -131,17 +146,35 @@ def main() -> None:
                 adam: torch.optim.Optimizer = adam,
             ) -> None:
                 b = b or fixed
-                x = cleaned(model, b)
-                loss, _ = losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
+                loss, _ = loss_of(model, list(vars(b).values()))
                 adam.zero_grad()
                 loss.backward()
                 torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
                 adam.step()
 
             whole, seconds = cell(lambda step=step: step(made()))
-            crops = f"{batch / seconds:,.0f}"
-            table.append([words, cell(network)[0], cell(step)[0], making, whole, crops])
-    head = ["network", "network", "with filter, loss, Adam", "batch", "all", "crops a second"]
+            row = [words, cell(network)[0], cell(step)[0], making, whole]
+            if device.type == "cuda":
+                graphed, batches = Graphed(model, loss_of), several()
+
+                def recorded(
+                    graphed: Graphed = graphed,
+                    batches: Iterator[Batch] = batches,
+                    model: torch.nn.Module = model,
+                    adam: torch.optim.Optimizer = adam,
+                ) -> None:
+                    graphed(list(vars(next(batches)).values()))
+                    torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
+                    adam.step()
+
+                for _ in range(24):  # both shapes of a batch are met
+                    recorded()
+                text, seconds = cell(recorded)
+                row.append(text)
+            table.append([*row, f"{batch / seconds:,.0f}"])
+    head = ["network", "network", "with filter, loss, Adam", "batch", "all"]
+    head += ["recorded"] if device.type == "cuda" else []
+    head.append("crops a second")
     print(markdown_table(head, table))
 
 

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from made import few_threads  # noqa: F401
 
-from lambent.learn import resident, splat
+from lambent.learn import denoising, resident, splat
 from lambent.learn.augment import Example, merged
 from lambent.learn.batches import ready
 from lambent.learn.denoising import DenoisingTask
@@ -229,7 +229,9 @@ def test_layers_are_kept_as_often_as_row_by_row():
     assert float((spp == 0).float().mean()) == pytest.approx(0.3, abs=0.03)
 
 
-def test_a_resident_run_resumes(tmp_path):
+@pytest.mark.parametrize("together", [1, 3])
+def test_a_resident_run_resumes(tmp_path, monkeypatch, together):
+    monkeypatch.setitem(denoising.TOGETHER, "cpu", together)  # as on a GPU: stopped amid a draw
     recipe = TrainRecipe(
         name="resident", size="fast", steps=4, batch=2, warmup=1, check_every=4, checked=2,
         held_out=0.0, options={"resident": True},
@@ -239,6 +241,19 @@ def test_a_resident_run_resumes(tmp_path):
     for steps in (2, 4):
         pieces = train(recipe, task, tmp_path / "pieces", "cpu", steps=steps)
     assert all(torch.equal(whole[name], value) for name, value in pieces.weights().items())
+
+
+def test_batches_of_one_draw_are_its_parts(stills, tmp_path, monkeypatch):
+    recipe = TrainRecipe(name="x", size="fast", batch=2, held_out=0.0, options={"resident": True})
+    task = DenoisingTask(recipe, stills)
+    monkeypatch.setitem(denoising.TOGETHER, "cpu", 3)
+    residents = resident.Residents(stills, CPU)
+    for step, batch in zip(range(2, 8), task.batches(2, 0, 1), strict=False):
+        assert batch == (step, 0, 2)
+        whole = resident.batch_of(residents, recipe.seed, step // 3, 6)
+        parts = [part.chunk(3)[step % 3] for part in whole]
+        found = task.tensors(batch, CPU)
+        assert all(torch.equal(a, b) for a, b in zip(found, parts, strict=True))
 
 
 INTERPRETED = """

@@ -37,7 +37,7 @@ BANDS = (1, 8, 64)
 #: Rows that int8 is calibrated with.
 CALIBRATION = 128
 #: Batches that a GPU makes at once: for each alone it waits for the launches of a thousand kernels.
-TOGETHER = 4
+TOGETHER = {"cuda": 4}
 #: Seconds from one look for new crops to the next, where a run follows its data.
 LOOK_EVERY = 5.0
 
@@ -211,7 +211,7 @@ class DenoisingTask:
             self._residents.add(
                 [s for s in stills if not is_held_out(s.scene, self.recipe.held_out)]
             )
-        together = TOGETHER if device.type == "cuda" else 1
+        together = TOGETHER.get(device.type, 1)
         draw, part = divmod(step, together)
         if self._drawn is None or self._drawn[0] != draw:
             made = batch_of(self._residents, self.recipe.seed, draw, size * together, rank)

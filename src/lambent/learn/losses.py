@@ -16,6 +16,8 @@ EPSILON = 0.01
 DISCOUNT = 4.0
 #: A noisy input that is off by less than this counts as no cleaner; one off by so much weighs 1.
 CLEAN, TYPICAL = 0.02, 0.15
+#: The weight of `relative_square`: dots and rims, which few pixels have, are most of what is left.
+SQUARE = 2.0
 #: A preference of 1 multiplies the loss by 1 + ASYMMETRY on the wrong side.
 ASYMMETRY = 8.0
 
@@ -113,5 +115,5 @@ def denoising(
         "gradient": (weight * gradient(x, r)).mean(),
         "wide": (share * wide).mean(),
     }
-    total = terms["log"] + terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
+    total = terms["log"] + SQUARE * terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
     return total, terms
