@@ -123,6 +123,29 @@ def test_thinned_samples_have_the_same_mean_and_say_how_noisy_they_are():
     assert 0.2 < float(empty) < 0.8  # pixels without light
 
 
+def test_haze_adds_its_light_and_tells_its_noise():
+    count, samples = 4000, 16
+    planes = torch.zeros(count, resident.PLANES, 8, 8)
+    planes[:, :3] = 0.5
+    planes[:, resident._AT["albedo"]] = 0.8
+    target = torch.full((count, 4, 8, 8), 0.5)
+    names = torch.ones(count, len(resident.NAMES))
+    rows = resident.Rows(planes, names, target, torch.full((count,), float(samples)))
+    resident.hazed(rows, torch.Generator().manual_seed(6))
+    light = rows.planes[:, :3].mean((2, 3))
+    wanted = rows.target[:, :3].mean((2, 3))
+    assert float((light / wanted).mean()) == pytest.approx(1, abs=0.01)
+    assert float(wanted.max()) > 0.6  # there is fog
+    spread = rows.planes[:, :3].mean(1).var((1, 2))
+    told = rows.layer("colour_std").square().mean((1, 2, 3))
+    assert float(told.sum() / spread.sum()) == pytest.approx(1, abs=0.15)
+    albedo = rows.layer("albedo")
+    told = rows.layer("albedo_std").square().mean((1, 2, 3)).sum()
+    assert float(told / albedo.mean(1).var((1, 2)).sum()) == pytest.approx(1, abs=0.15)
+    assert 0 < float(albedo.min()) < 0.7
+    assert float(albedo.max()) == pytest.approx(0.8)
+
+
 def test_some_batches_are_shrunk(stills, monkeypatch):
     residents = resident.Residents(stills, CPU)
     monkeypatch.setattr(resident, "LEAST", 16)

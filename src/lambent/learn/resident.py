@@ -4,7 +4,7 @@ On a large GPU the network is done with a crop long before a processor has read,
 the next one (`learn.batches`). So all stills are kept in the device's memory as half floats (1.6 MB
 each), and everything that `learn.augment`, `learn.lamps` and `learn.splat` do to one example
 is done here to all rows of a batch at once, with random numbers that follow from the seed,
-the step and the process. Four things are added that a row at a time would be too slow for:
+the step and the process. Five things are added that a row at a time would be too slow for:
 
 - **paint**: all surfaces get another texture. Colour, target and albedo are multiplied by one
   picture, since light that has left the surface once is proportional to the albedo;
@@ -15,7 +15,10 @@ the step and the process. Four things are added that a row at a time would be to
   That is exact, and it is where crops of 64 to 1,024 samples come from, which are dear to render;
 - **thinning**: of the samples of a crop some are dropped and the others weigh more, as if the
   renderer had drawn one lamp of several, or ended paths by chance. The mean stays, the noise grows,
-  and at few samples there are pixels without light, as Cycles has them and Mitsuba has not.
+  and at few samples there are pixels without light, as Cycles has them and Mitsuba has not;
+- **haze**: some samples end in thin fog, before they reach a surface, with fog's light and fog's
+  features. At few samples the albedo is then speckled, and where it is dark the light is not: what
+  is divided by it is no light on a surface any more.
 """
 
 from __future__ import annotations
@@ -54,6 +57,8 @@ _MEANS = slice(0, max(_AT[n].stop for n in NAMES if not n.endswith("_std")))
 PAINTED, SHADED = 0.3, 0.3
 #: Share of the rows whose samples are thinned, and the shares of samples that are kept.
 THINNED, KEPT = 0.3, (0.15, 0.9)
+#: Share of the rows in thin fog, and the shares of samples that end in it.
+HAZED, WITHIN = 0.15, (0.005, 0.15)
 #: Share of the batches that are at half size.
 SHRUNK = 0.35
 #: Smaller crops than this are not made: a pixel of the coarsest scale is 16 wide.
@@ -211,6 +216,7 @@ def batch_of(
     rows = turned(rows, rng)
     _some(rows, THINNED, rng, thinned)
     _some(rows, SHADED, rng, shaded)
+    _some(rows, HAZED, rng, hazed)
     _some(rows, lamps.SHARE, rng, lit)
     spp = rows.spp.clone()
     splat = _chosen(size, SPLATTED, rng)
@@ -299,6 +305,46 @@ def thinned(rows: Rows, rng: torch.Generator) -> None:
     told = share * (spread * spread + squares * (1 - p) / (n * p))
     rows.planes[:, _AT["colour_std"]] = told.sqrt()
     rows.planes[:, :3] = colour * share
+
+
+def hazed(rows: Rows, rng: torch.Generator) -> None:
+    """A share q of the samples ends in fog of radiance f, of which one sample says no more than
+    that its light is drawn from an exponential distribution around f.
+
+    Of a pixel's n samples k ~ B(n, q) do: c' = (1 - k/n) c + k/n f G with G ~ Γ(k, 1/k), features
+    likewise, with one value each for the fog; the target is (1 - q) r + q f.
+    """
+    size = len(rows.planes)
+    dice = _random(size, 4, rng)
+    q = _log_uniform(dice[:, :1], WITHIN)[:, :, None, None]
+    n = rows.spp.round().clamp_min(1)[:, None, None, None]
+    shape = (size, 1, *rows.planes.shape[2:])
+    k = torch.binomial(n.expand(shape).contiguous(), q.expand(shape).contiguous(), generator=rng)
+    share, some = k / n, k.clamp_min(1)
+    spread = share * (1 - share) / (n - 1).clamp_min(1)
+    stops = (dice[:, 1] * 6 - 2)[:, None, None, None]
+    tint = torch.exp(0.2 * torch.randn(size, 3, 1, 1, generator=rng, device=rng.device))
+    fog = rows.target[:, :3].mean((1, 2, 3), keepdim=True) * torch.exp2(stops) * tint
+    light = fog * torch._standard_gamma(some, generator=rng) / some
+    colour, noise = rows.planes[:, :3], rows.layer("colour_std")
+    step = (light - colour).mean(1, keepdim=True)
+    # within the fog, within the rest, between the two: what a renderer's sums of squares say
+    own = (some - 1) * fog.mean(1, keepdim=True) ** 2 / (n * (n - 1)).clamp_min(1)
+    told = own + (1 - share) * noise**2 + spread * step**2
+    rows.planes[:, _AT["colour_std"]] = told.sqrt()
+    rows.planes[:, :3] = torch.lerp(colour, light, share)
+    for name, value in (
+        ("albedo", 0.2 * dice[:, 2]), ("normal", torch.zeros(size, device=rng.device)),
+        ("roughness", torch.ones(size, device=rng.device)), ("depth", dice[:, 3] - 0.5),
+    ):  # fmt: skip
+        there, value = rows.layer(name), value[:, None, None, None]
+        if f"{name}_std" in _AT:
+            step = (value - there).abs().mean(1, keepdim=True)
+            before = (1 - share) * rows.layer(f"{name}_std") ** 2
+            rows.planes[:, _AT[f"{name}_std"]] = (before + spread * step**2).sqrt()
+        rows.planes[:, _AT[name]] = torch.lerp(there, value, share)
+    rows.target[:, :3] = torch.lerp(rows.target[:, :3], fog.expand_as(rows.target[:, :3]), q)
+    rows.target[:, 3:] *= 1 - q
 
 
 def recoloured(rows: Rows, rng: torch.Generator) -> None:
