@@ -16,6 +16,8 @@ EPSILON = 0.01
 DISCOUNT = 4.0
 #: A noisy input that is off by less than this counts as no cleaner; one off by so much weighs 1.
 CLEAN, TYPICAL = 0.02, 0.15
+#: A relative error of this and more is all the same to `relative_square`.
+FAR = 4.0
 #: The weight of `relative_square`: dots and rims, which few pixels have, are most of what is left.
 SQUARE = 2.0
 #: A preference of 1 multiplies the loss by 1 + ASYMMETRY on the wrong side.
@@ -44,10 +46,13 @@ def relative_square(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
     σ² is the target's own variance over 5x5 pixels: a target that is dark by chance shall not
     count as if it were sure (Lehtinen et al. 2018, sec. 3.3, divide by the output for that reason;
     then what is far too bright costs no more than what is twice too bright).
+    What is off by more than `FAR` does not pull here, only in `logarithmic`: in a fresh network
+    lamps shine everywhere, and to be rid of that at any price kills its units.
     """
     variance = F.avg_pool2d(deviation**2, 5, 1, 2, count_include_pad=False)
     size = r.mean(1, keepdim=True) ** 2 + variance + EPSILON
-    return torch.sqrt(1 + ((x - r) ** 2).mean(1, keepdim=True) / size) - 1
+    square = ((x - r) ** 2).mean(1, keepdim=True) / size
+    return torch.sqrt(1 + square.clamp_max(FAR**2)) - 1
 
 
 def unbiased(x: Tensor, r: Tensor) -> Tensor:

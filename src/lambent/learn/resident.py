@@ -26,7 +26,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -105,23 +105,23 @@ class Residents:
         new = [s for s in stills if str(s.file) not in self.known]
         if not new:
             return 0
-        levels, targets = [self.levels], [self.targets]
+        # room for all of them at once: put together piece by piece, they would need it twice
+        edge = np.load(new[0].file, mmap_mode="r").shape[1:]
+        at, still = len(self.levels), len(self.targets)
+        self.levels = _with_room(self.levels, sum(len(s.spp) for s in new), edge)
+        self.targets = _with_room(self.targets, len(new), edge)
         with ThreadPoolExecutor(4) as pool:
-            loaded = pool.map(lambda s: np.load(s.file), new)
-            for still, memory in zip(new, loaded, strict=True):
+            for number, (one, memory) in enumerate(_loaded(new, pool), still):
                 planes = torch.from_numpy(memory).to(self.device)
-                number = len(self.known)
-                self.known.add(str(still.file))
-                parts = planes[:-TARGET_PLANES].unflatten(0, (len(still.spp), PLANES_OF))
-                levels.append(parts[:, _FROM])
-                targets.append(planes[None, -TARGET_PLANES : 4 - TARGET_PLANES])
-                for spp, names in zip(still.spp, still.layers, strict=True):
+                self.known.add(str(one.file))
+                parts = planes[:-TARGET_PLANES].unflatten(0, (len(one.spp), PLANES_OF))
+                self.levels[at : at + len(parts)] = parts[:, _FROM]
+                self.targets[number] = planes[-TARGET_PLANES : 4 - TARGET_PLANES]
+                at += len(parts)
+                for spp, names in zip(one.spp, one.layers, strict=True):
                     self._spp.append(max(1, int(spp)))
                     self._still.append(number)
                     self._there.append([float(name in names) for name in NAMES])
-        if len(self.known) == len(new):
-            levels, targets = levels[1:], targets[1:]
-        self.levels, self.targets = torch.cat(levels), torch.cat(targets)
         self._index()
         return len(new)
 
@@ -181,6 +181,23 @@ class Residents:
                 known[:, i] = (told[:, i] > 0).float()
         target = self.targets[still].float()
         return Rows(planes, known, target, total)
+
+
+def _loaded(
+    stills: Sequence[Cached], pool: ThreadPoolExecutor, ahead: int = 32
+) -> Iterator[tuple[Cached, np.ndarray]]:
+    """Stills with their planes; a pool asked for all would hold what is not taken yet."""
+    for begin in range(0, len(stills), ahead):
+        part = stills[begin : begin + ahead]
+        yield from zip(part, pool.map(lambda s: np.load(s.file), part), strict=True)
+
+
+def _with_room(tensor: Tensor, count: int, edge: tuple[int, ...]) -> Tensor:
+    """A copy with room for so many more pictures of ``edge`` (height, width)."""
+    found = tensor.new_empty(len(tensor) + count, tensor.shape[1], *edge)
+    if len(tensor):
+        found[: len(tensor)] = tensor
+    return found
 
 
 @functools.lru_cache(maxsize=8)
