@@ -43,7 +43,7 @@ from lambent.frame.atomic import atomic
 from lambent.frame.tonemap import to_png
 from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Task
+from lambent.learn.task import RecordableTask, Task
 
 #: Seconds from one saved state to the next.
 SAVE_EVERY = 120.0
@@ -204,9 +204,9 @@ def train(
     last = recipe.steps if seconds is None else ENDLESS
     last = min(last, steps if steps is not None else last)
     parallel: nn.Module = DistributedDataParallel(model) if here.world > 1 else model
-    graphed = None
-    if here.device.type == "cuda" and here.world == 1 and hasattr(task, "tensors"):
-        graphed = Graphed(model, task.loss_of)  # type: ignore[attr-defined]
+    recorded: tuple[RecordableTask, Graphed] | None = None
+    if here.device.type == "cuda" and here.world == 1 and isinstance(task, RecordableTask):
+        recorded = task, Graphed(model, task.loss_of)
     log = _Log(run, step) if here.first else None
     began = saved = time.monotonic()
 
@@ -235,8 +235,9 @@ def train(
                 break
             for group in optimiser.param_groups:
                 group["lr"] = recipe.rate * schedule(recipe, step, share)
-            if graphed is not None:
-                loss, terms = graphed(task.tensors(next(batches), here.device))  # type: ignore[attr-defined]
+            if recorded is not None:
+                maker, graphed = recorded
+                loss, terms = graphed(maker.tensors(next(batches), here.device))
             else:
                 loss, terms = task.loss(parallel, next(batches), here.device)
                 optimiser.zero_grad(set_to_none=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -46,6 +46,19 @@ class Task(Protocol):
 
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
         """Figures of merit on held-out data; the key ``score`` is the one to make small."""
+
+
+@runtime_checkable
+class RecordableTask(Task, Protocol):
+    """A task whose step is the same operations in every step: `graphed` may record it."""
+
+    def tensors(self, batch: Any, device: torch.device) -> Sequence[Tensor]:
+        """A batch on the device."""
+
+    def loss_of(
+        self, model: nn.Module, tensors: Sequence[Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """`loss` of those tensors, without asking the device for a number."""
 
 
 class ShippedTask(Task, Protocol):
