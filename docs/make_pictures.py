@@ -115,7 +115,7 @@ def before_after() -> None:
 
     frame = read(EXAMPLE / "noisy.exr")
     exposure = auto_exposure(read(EXAMPLE / "reference.exr").colour)
-    clean = filtered("oidn", frame)
+    clean = filtered("lambent", frame)
     assert clean is not None
     both = to_uint8(clean, exposure)
     middle = both.shape[1] // 2

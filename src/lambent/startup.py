@@ -80,7 +80,7 @@ def engine(device: str = "auto") -> str:
     if device == "auto" and has_cuda():
         return "cuda"
     raise EngineError(
-        "no LLVM library was found, which the classical filters are compiled with",
+        "no LLVM library was found, which all models but oidn* are compiled with",
         remedy="pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM; "
         "the models named oidn* work without",
     )

@@ -53,7 +53,7 @@ def denoise(
             help="Where to write: a file, a pattern, or a directory. Default: IN_clean.exr.",
         ),
     ] = None,
-    model: ModelOption = "oidn",
+    model: ModelOption = "lambent",
     passes: Annotated[
         str,
         typer.Option(

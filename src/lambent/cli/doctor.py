@@ -218,7 +218,7 @@ def _llvm() -> list[Check]:
             Check(
                 "LLVM",
                 "broken",
-                "not found; the classical filters need it (the models oidn* do not)",
+                "not found; all models but oidn* need it",
                 "pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM",
             )
         ]

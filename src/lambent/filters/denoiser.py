@@ -254,7 +254,7 @@ DENOISERS = Registry(
 FARTHEST = 256
 
 #: What `lambent denoise` takes unless told otherwise.
-DEFAULT_MODEL = "oidn"
+DEFAULT_MODEL = "lambent"
 
 
 def parameters(model: str) -> dict[str, tuple[Any, Any]]:

@@ -1,4 +1,4 @@
-"""Open Image Denoise as a denoiser: the default model until Lambent's own network is better.
+"""Open Image Denoise as a denoiser: the yardstick of Lambent's own network.
 
 "Intel Open Image Denoise", Attila T. Áfra, 2019-2025, version 2.5 (``openimagedenoise.org``): a
 U-Net that maps colour, albedo and normal to clean colour. Four models:
