@@ -58,7 +58,7 @@ PAINTED, SHADED = 0.3, 0.3
 #: Share of the rows whose samples are thinned, and the shares of samples that are kept.
 THINNED, KEPT = 0.3, (0.15, 0.9)
 #: Share of the rows in thin fog, and the shares of samples that end in it.
-HAZED, WITHIN = 0.15, (0.005, 0.15)
+HAZED, IN_FOG = 0.15, (0.005, 0.15)
 #: Share of the batches that are at half size.
 SHRUNK = 0.35
 #: Smaller crops than this are not made: a pixel of the coarsest scale is 16 wide.
@@ -333,7 +333,7 @@ def hazed(rows: Rows, rng: torch.Generator) -> None:
     """
     size = len(rows.planes)
     dice = _random(size, 4, rng)
-    q = _log_uniform(dice[:, :1], WITHIN)[:, :, None, None]
+    q = _log_uniform(dice[:, :1], IN_FOG)[:, :, None, None]
     n = rows.spp.round().clamp_min(1)[:, None, None, None]
     shape = (size, 1, *rows.planes.shape[2:])
     k = torch.binomial(n.expand(shape).contiguous(), q.expand(shape).contiguous(), generator=rng)
