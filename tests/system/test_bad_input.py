@@ -186,7 +186,9 @@ def test_unknown_model_suggests(refused, noisy):
 
 
 def test_unknown_parameter_suggests(refused, noisy):
-    assert "did you mean quality" in refused("denoise", noisy, "--set", "qualty=fast", code=4)
+    assert "did you mean quality" in refused(
+        "denoise", noisy, "--model", "oidn", "--set", "qualty=fast", code=4
+    )
 
 
 @pytest.mark.parametrize(
