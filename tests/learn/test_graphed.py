@@ -3,38 +3,66 @@
 import made
 import pytest
 import torch
+from made import few_threads  # noqa: F401
 
 from lambent.learn import resident
 from lambent.learn.denoising import DenoisingTask
 from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.task import RecordableTask
 
-pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
-
-@pytest.mark.parametrize("int8", [False, True])
-def test_a_recorded_step_is_the_step(tmp_path, monkeypatch, int8):
+@pytest.fixture
+def task(tmp_path, monkeypatch):
     monkeypatch.setattr(resident, "LEAST", 16)  # the small crops here are shrunk, too
-    device = torch.device("cuda")
-    recipe = TrainRecipe(name="x", size="fast", batch=4, held_out=0.0, options={"int8": int8})
-    task = DenoisingTask(recipe, made.stills(tmp_path))
-    task.device = "cuda"
-    model = task.network().to(device, memory_format=torch.channels_last)
+
+    def task_of(device, int8=False):
+        options = {"int8": int8, "resident": True}
+        recipe = TrainRecipe(name="x", size="fast", batch=4, held_out=0.0, options=options)
+        found = DenoisingTask(recipe, made.stills(tmp_path))
+        found.device = device
+        return found
+
+    return task_of
+
+
+def eager(task, model, tensors):
+    """Loss and gradients. Nothing of the graph may live on: it would belong to another stream."""
+    loss, _ = task.loss_of(model, tensors)
+    return loss.detach(), torch.autograd.grad(loss, list(model.parameters()))
+
+
+def test_what_is_recorded_is_the_loss_of_the_loop(task):
+    made_here, device = task("cpu"), torch.device("cpu")
+    assert isinstance(made_here, RecordableTask)
+    model = made_here.network()
+    loss, terms = made_here.loss(model, (0, 0, 2), device)
+    loss.backward()
+    tensors = made_here.tensors((0, 0, 2), device)
+    found, parts, grads = Graphed(model, made_here.loss_of)._step(tensors)
+    assert torch.equal(found, loss.detach())
+    assert parts.keys() == terms.keys()
+    for parameter, grad in zip(model.parameters(), grads, strict=True):
+        torch.testing.assert_close(parameter.grad, grad)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("int8", [False, True])
+def test_a_recorded_step_is_the_step(task, int8):
+    made_here, device = task("cuda", int8), torch.device("cuda")
+    model = made_here.network().to(device, memory_format=torch.channels_last)
     if int8:
-        model.fit(task.tensors((0, 0, 4), device)[0])
-    graphed = Graphed(model, task.loss_of)
+        model.fit(made_here.tensors((0, 0, 4), device)[0])
+    graphed = Graphed(model, made_here.loss_of)
     shapes = set()
     for step in range(0, 48, 4):
-        tensors = task.tensors((step, 0, 4), device)
+        tensors = made_here.tensors((step, 0, 4), device)
         shapes.add(tensors[1].shape)
-        loss, _ = task.loss_of(model, tensors)
-        wanted = torch.autograd.grad(loss, list(model.parameters()))
+        loss, wanted = eager(made_here, model, tensors)
         found, terms = graphed(tensors)
-        torch.testing.assert_close(found, loss.detach(), rtol=2e-3, atol=1e-4)
+        torch.testing.assert_close(found, loss, rtol=2e-3, atol=1e-4)
         assert set(terms) == {"log", "square", "gradient", "wide"}
-        apart = sum(
-            (p.grad - g).square().sum() for p, g in zip(model.parameters(), wanted, strict=True)
-        )
-        whole = sum(g.square().sum() for g in wanted)
-        assert float(apart / whole) < 1e-3
+        pairs = list(zip(model.parameters(), wanted, strict=True))
+        apart = sum((p.grad - g).square().sum() for p, g in pairs)
+        assert float(apart / sum(g.square().sum() for g in wanted)) < 1e-3
     assert len(shapes) == 2

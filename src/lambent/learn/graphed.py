@@ -34,7 +34,8 @@ class _Recording:
 class Graphed:
     """``loss(model, tensors)`` and its gradients by recordings, one for each set of shapes.
 
-    ``loss`` must not look at values of its tensors on the processor.
+    ``loss`` must not look at values of its tensors on the processor; and of the model nothing that
+    was computed before, with its gradients, may be kept while one is made (CUDA refuses it).
     """
 
     def __init__(self, model: nn.Module, loss: Loss) -> None:

@@ -47,7 +47,7 @@ def relative_square(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
     count as if it were sure (Lehtinen et al. 2018, sec. 3.3, divide by the output for that reason;
     then what is far too bright costs no more than what is twice too bright).
     What is off by more than `FAR` does not pull here, only in `logarithmic`: in a fresh network
-    lamps shine everywhere, and to be rid of that at any price kills its units.
+    lamps shine everywhere, and this term was ten to twenty times the others.
     """
     variance = F.avg_pool2d(deviation**2, 5, 1, 2, count_include_pad=False)
     size = r.mean(1, keepdim=True) ** 2 + variance + EPSILON
