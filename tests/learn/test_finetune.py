@@ -1,5 +1,7 @@
 """Fine-tuning: pairs and halves, what is held out, what is refused."""
 
+import dataclasses
+
 import made
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from made import few_threads  # noqa: F401
 
 from lambent.denoise.model_file import read_model
 from lambent.errors import LayerError, OptionError
-from lambent.frame.files import write
+from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.learn.export import export
 from lambent.learn.finetune import FinetuneTask, finetune, pairs_of
@@ -69,6 +71,52 @@ def test_half_buffers_suffice(tmp_path):
     batch = [task.row(0, n) for n in range(2)]
     loss, _ = task.loss(LambentNet("fast"), batch, torch.device("cpu"))
     assert float(loss.detach()) > 0
+
+
+def halves(tmp_path, count):
+    """Frames of two halves each, as pairs."""
+    pairs = []
+    for number in range(count):
+        rng = np.random.default_rng(number)
+        a, b = (made.frame(rng, 2, 320) for _ in range(2))
+        path = tmp_path / f"half{number}.exr"
+        layers = {"colour_half_a": a.colour, "colour_half_b": b.colour}
+        write(path, Frame.from_arrays(spp=4, colour=(a.colour + b.colour) / 2, **layers))
+        pairs += pairs_of(path)
+    return pairs
+
+
+def test_of_both_halves_the_same_tiles_are_held_out(tmp_path):
+    task = FinetuneTask(halves(tmp_path, 2), "fast")
+    of = [{(y, x) for n, y, x in task._held if n == m} for m in range(4)]
+    assert of[0] == of[1] != of[2] == of[3]
+    assert of[0]
+
+
+def test_against_a_half_brighter_is_not_better(tmp_path):
+    """Relative to its own brightness a network that makes all brighter would win."""
+    torch.manual_seed(0)
+    task = FinetuneTask(halves(tmp_path, 1), "fast")
+    task._held = task._held[:1]
+    model = LambentNet("fast").eval()
+    device = torch.device("cpu")
+    before = task.score(model, device)[0]["score"]
+    assert task.score(model, device)[0]["score"] == pytest.approx(before)
+    pair = task.pairs[task._held[0][0]]
+    signals = dataclasses.replace(pair.noisy, colour=3 * pair.noisy.colour)
+    task.pairs[task._held[0][0]] = dataclasses.replace(pair, noisy=signals)
+    assert task.score(model, device)[0]["score"] > before
+
+
+def test_epsilon_is_a_radiance_of_the_frame(shots):
+    (pair,) = pairs_of(shots[0])
+    frame = read(shots[0])
+    factor = float(pair.noisy.colour.mean() / frame.colour.mean())
+    assert pair.epsilon == pytest.approx(0.01 * factor**2, rel=1e-3)
+    task = FinetuneTask([pair], "fast")
+    row = task.row(0, 0)  # at another exposure
+    gain = row.target.mean() / pair.target.mean()
+    assert 0.3 < row.epsilon / (pair.epsilon * gain**2) < 3
 
 
 def test_little_data_frees_the_first_layers_only(shots):

@@ -1,9 +1,12 @@
 """Losses: what they are 0 for, and that noise of the target does not move them."""
 
+import numpy as np
 import pytest
 import torch
 
+from lambent.frame.tonemap import srgb
 from lambent.learn import losses
+from lambent.metrics.ssim import dssim
 
 
 def images(seed=0):
@@ -18,7 +21,51 @@ def test_all_are_zero_for_the_target_itself():
     assert float(losses.relative_square(r, r, r[:, :1]).abs().max()) < 1e-6
     total, terms = losses.denoising(r, r, r, torch.zeros(2, 1, 32, 32), torch.zeros(2))
     assert float(total) < 1e-6
-    assert set(terms) == {"log", "square", "gradient", "wide"}
+    assert set(terms) == {"log", "square", "bright", "gradient", "wide", "structure"}
+
+
+def test_structure_is_the_metric():
+    """Of pictures without noise it is DSSIM, up to the window; blur costs more than a tint."""
+    r = images()
+    r = torch.nn.functional.interpolate(r, scale_factor=4, mode="bicubic").clamp(0.02, 0.95)
+    blurred = torch.nn.functional.avg_pool2d(r, 5, 1, 2, count_include_pad=False)
+    none = torch.zeros(2, 1, 128, 128)
+    for x in (blurred, 1.1 * r):
+        ours = float(losses.structure(x, r, none).mean())
+        metric = np.mean(
+            [dssim(*(np.moveaxis(p[n].numpy(), 0, 2) for p in (x, r)), 1.0) for n in (0, 1)]
+        )
+        assert ours == pytest.approx(metric, rel=0.35)
+    assert losses.structure(blurred, r, none).mean() > 3 * losses.structure(1.1 * r, r, none).mean()
+
+
+def test_noise_of_the_target_is_no_structure():
+    """A grey wall and a noisy target: the wall is the most similar, not a picture with noise."""
+    torch.manual_seed(0)
+    wall = torch.full((4, 3, 64, 64), 0.3)
+    sigma = 0.03
+    r = wall + sigma * torch.randn_like(wall)
+    deviation = torch.full((4, 1, 64, 64), sigma)
+    wrong = wall + sigma * torch.randn_like(wall)
+    told = float(losses.structure(wall, r, deviation).mean())
+    assert told < 0.3 * float(losses.structure(wall, r, 0 * deviation).mean())
+    assert told < 0.3 * float(losses.structure(wrong, r, deviation).mean())
+
+
+def test_displayed_is_the_tone_map():
+    x = torch.linspace(0, 1.2, 100)
+    np.testing.assert_allclose(losses.displayed(x).numpy(), srgb(x.numpy()), atol=1e-5)
+
+
+def test_with_a_large_epsilon_the_dark_hardly_counts():
+    r = torch.tensor([0.02, 0.8])[:, None, None, None].expand(2, 3, 8, 8)
+    none = torch.zeros(2, 1, 8, 8)
+    small, large = (
+        losses.relative_square(1.3 * r, r, none, epsilon).mean((1, 2, 3))
+        for epsilon in (losses.EPSILON, losses.WHITE)
+    )
+    assert large[0] < 0.1 * small[0]
+    assert large[1] > 0.6 * small[1]
 
 
 def test_the_asymmetric_factor_sees_sides():

@@ -40,7 +40,8 @@ class Row:
     """One example, ready for the network: see `denoise.inputs`.
 
     ``packed`` ``(CHANNELS, H/2, W/2)``; ``colour``, ``divisor``, ``target`` ``(3, H, W)``;
-    ``deviation`` ``(1, H, W)`` of the target; ``preference`` λ.
+    ``deviation`` ``(1, H, W)`` of the target; ``preference`` λ. Of fine-tuning alone: whether the
+    target is as noisy as the input, and relMSE's ε at the row's exposure.
     """
 
     packed: FloatImage
@@ -51,6 +52,7 @@ class Row:
     preference: float
     spp: float
     noisy_target: bool = False
+    epsilon: float = 0.0
 
 
 class Sampler:

@@ -1,9 +1,10 @@
 """A model tuned to somebody's own renders, in minutes.
 
-From pairs, ``shot.exr`` with ``shot.reference.exr`` beside it, by the loss that the model was
-trained with. From noisy frames alone, if they have two half buffers: the kernels predicted from one
-half are applied to it and compared with the other half, whose noise is independent (Lehtinen et al.
-2018). Then only the squared error is taken: noise of the target does not move its expectation.
+From pairs, ``shot.exr`` with ``shot.reference.exr`` beside it, by their squared relative error with
+the ε of `metrics.relmse`. That is a radiance of the frame, and the network sees frames at an
+exposure: in a dim frame all that is darker than ε hardly counts. From noisy frames alone, if they
+have two half buffers: the kernels predicted from one half are applied to it and compared with the
+other half, whose noise is independent (Lehtinen et al. 2018).
 
 With little data only the first layers are free (Vogels et al. 2018, sec. 5.5: what differs from
 renderer to renderer is what the input looks like). Some tiles of every frame are held out; the
@@ -20,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lambent.denoise.inputs import Signals, signals_of
@@ -40,16 +42,21 @@ from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
+from lambent.metrics.relmse import EPSILON
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
 CROP = 128
 #: Of so many tiles one is held out.
 HELD_OUT = 6
+#: Side of the squares that halves' errors are compared in.
+BLOCK = 32
 #: With fewer pixels than this only `FIRST` is free (Vogels 2018); with more, all layers do better.
 LITTLE = 1 << 18
 FIRST = ("stem", "enc0")
 BATCH = 8
-RATE = 3e-4
+RATE = 2e-3
+#: The weights of the squared error and of the logarithm, which alone minds what is below ε.
+SQUARE, LOGARITHM = 16.0, 0.4
 SUFFIX = ".reference"
 
 Progress = Callable[[float, float, str], None]
@@ -57,11 +64,17 @@ Progress = Callable[[float, float, str], None]
 
 @dataclass(frozen=True)
 class Pair:
-    """A noisy picture and what to compare with. ``noisy_target``: the other half."""
+    """A noisy picture and what to compare with, at an exposure.
 
+    ``shot``: the frame's file. ``noisy_target``: what to compare with is the other half.
+    ``epsilon``: relMSE's, at that exposure.
+    """
+
+    shot: str
     noisy: Signals
     target: FloatImage
     noisy_target: bool
+    epsilon: float
 
 
 def finetune(
@@ -85,7 +98,7 @@ def finetune(
     size = str(card.get("recipe", {}).get("size", "default"))
     task = FinetuneTask(pairs, size, int8="steps.input" in weights)
     recipe = TrainRecipe(
-        name="finetuned", batch=BATCH, rate=RATE, warmup=20, decay=0.98, check_every=40,
+        name="finetuned", batch=BATCH, rate=RATE, warmup=20, decay=0.99, check_every=40,
         steps=1 << 20, last_rate=0.05,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
@@ -113,6 +126,7 @@ def pairs_of(path: Path) -> list[Pair]:
     frame = read(path)
     other = path.with_name(f"{path.stem}{SUFFIX}{path.suffix}")
     factor = np.float32(exposure(frame.colour))
+    epsilon = EPSILON * float(factor) ** 2
     if other.exists():
         reference = read(other).colour
         if reference.shape != frame.colour.shape:
@@ -122,7 +136,8 @@ def pairs_of(path: Path) -> list[Pair]:
                 file=other,
                 remedy="a reference needs the size of its frame",
             )
-        return [Pair(_exposed(signals_of(frame), factor), _planes(reference) * factor, False)]
+        noisy = _exposed(signals_of(frame), factor)
+        return [Pair(str(path), noisy, _planes(reference) * factor, False, epsilon)]
     a, b = frame.get(Role.COLOUR, Stat.HALF_A), frame.get(Role.COLOUR, Stat.HALF_B)
     if a is None or b is None:
         raise LayerError(
@@ -131,7 +146,7 @@ def pairs_of(path: Path) -> list[Pair]:
             remedy=f"render {other.name} with many samples, or let the renderer write halves",
         )
     return [
-        Pair(_exposed(_half(frame, one), factor), _planes(two) * factor, True)
+        Pair(str(path), _exposed(_half(frame, one), factor), _planes(two) * factor, True, epsilon)
         for one, two in ((a, b), (b, a))
     ]
 
@@ -147,12 +162,15 @@ class FinetuneTask:
                 remedy=f"give frames of at least {CROP}x{CROP} pixels",
             )
         self.size, self.int8 = size, int8
+        shots = list(dict.fromkeys(p.shot for p in self.pairs))
+        # of both halves the same tiles: what one is compared with is the other's input
         self._held = [
             (n, y, x)
             for n, pair in enumerate(self.pairs)
             for k, (y, x) in enumerate(_tiles(pair.target))
-            if (k + n) % HELD_OUT == 0
+            if (k + shots.index(pair.shot)) % HELD_OUT == 0
         ]
+        self._first: list[Tensor] = []
 
     def network(self) -> nn.Module:
         """The network; with little data only its first layers learn."""
@@ -174,48 +192,60 @@ class FinetuneTask:
             height, width = pair.target.shape[1:]
             y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
             if not any(
-                p is pair and abs(y - t) < CROP and abs(x - u) < CROP
-                for p, t, u in ((self.pairs[n], t, u) for n, t, u in self._held)
+                self.pairs[n].shot == pair.shot and abs(y - t) < CROP and abs(x - u) < CROP
+                for n, t, u in self._held
             ):
                 break
             if rng.random() < 0.02:  # a frame that is nearly all held out
                 break
-        example = recoloured(turned(_cut(pair, y, x), rng), rng)
-        spp = float(pair.noisy.spp or 0)
-        return replace(ready(example, 0.0, spp), noisy_target=pair.noisy_target)
+        cut = turned(_cut(pair, y, x), rng)
+        example = recoloured(cut, rng)
+        gain = float(example.target.mean() / max(cut.target.mean(), 1e-8))
+        made = ready(example, 0.0, float(pair.noisy.spp or 0))
+        return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
 
     def loss(
         self, model: nn.Module, batch: list[Row], device: torch.device
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The squared error, which is what a few frames are judged by.
+        """The squared error, which is what frames are judged by, and a little of the logarithm.
 
-        Relative to the reference, with a little of the logarithm; relative to the output where
-        targets are halves. The training loss moved well-trained weights away from it.
+        Relative to the reference; to the output where targets are halves. The loss of training
+        moved well-trained weights away from it.
         """
         b = Batch.of(batch, device)
         x = cleaned(model, b)
-        if batch[0].noisy_target:
-            return losses.unbiased(x, b.target), {}
-        square = losses.relative_square(x, b.target, b.deviation).mean()
-        return 4 * square + 0.4 * losses.logarithmic(x, b.target).mean(), {}
+        epsilon = torch.tensor([r.epsilon for r in batch], device=device)[:, None, None, None]
+        if any(r.noisy_target for r in batch):
+            return losses.unbiased(x, b.target, epsilon), {}
+        square = losses.relative_square(x, b.target, b.deviation, epsilon).mean()
+        return SQUARE * square + LOGARITHM * losses.logarithmic(x, b.target).mean(), {}
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
-        """Mean trimmed relMSE on the held-out tiles (of halves: all of it, with their noise)."""
-        errors = []
+        """Mean trimmed relMSE on the held-out tiles; of halves `_gain` on what it was at first."""
+        outputs = []
         for n, y, x in self._held:
             pair = self.pairs[n]
             b = Batch.of([ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))], device)
-            out = cleaned(model, b)
+            outputs.append((pair, cleaned(model, b), b.target))
+        if not self._first:
+            self._first = [out for _, out, _ in outputs]
+        errors, unsure = [], []
+        for (pair, out, target), first in zip(outputs, self._first, strict=True):
             if pair.noisy_target:
-                errors.append(float(losses.unbiased(out, b.target)))
+                error, change = _against_half(out, target, first, pair.epsilon)
+                unsure.append(change)
             else:
-                size = b.target.mean(1, keepdim=True) ** 2 + losses.EPSILON
-                error = ((out - b.target) ** 2 / size).mean(1)
+                size = target.mean(1, keepdim=True) ** 2 + pair.epsilon
+                error = ((out - target) ** 2 / size).mean(1)
                 # a lamp's rim would outweigh all else: the trimmed error, as everywhere
-                keep = error <= torch.quantile(error, 1 - TRIMMED)
-                errors.append(float(error[keep].mean()))
-        return {"score": float(np.mean(errors))}, {}
+                error = error[error <= torch.quantile(error, 1 - TRIMMED)]
+            errors.append(float(error.mean()))
+        score = float(np.mean(errors))
+        if unsure:  # what may be better by chance alone is not
+            changes = torch.cat(unsure)
+            score += float(changes.std() / len(changes) ** 0.5)
+        return {"score": score}, {}
 
 
 # ------------------------------------------------------------------- private
@@ -235,6 +265,21 @@ def _cut(pair: Pair, y: int, x: int) -> Example:
     layers = {name: cut(layer) for name, layer in pair.noisy.layers.items()}
     noisy = replace(pair.noisy, colour=cut(pair.noisy.colour), layers=layers)
     return Example(noisy, cut(pair.target), np.zeros((1, CROP, CROP), np.float32))
+
+
+def _against_half(
+    out: Tensor, half: Tensor, first: Tensor, epsilon: float
+) -> tuple[Tensor, Tensor]:
+    """Squared relative error against a noisy half, and how it changed, in squares of `BLOCK`.
+
+    Relative to the ``first`` output, which knows nothing of that half and stays the same: relative
+    to each output a brighter one would be the better one. The half's noise is in both errors; what
+    is left of it in the change is so much smaller as the outputs are alike.
+    """
+    size = first.mean(1, keepdim=True) ** 2 + epsilon
+    before = ((first - half) ** 2 / size).mean(1, keepdim=True)
+    after = ((out - half) ** 2 / size).mean(1, keepdim=True)
+    return after, F.avg_pool2d(after - before, BLOCK).flatten()
 
 
 def _exposed(signals: Signals, factor: np.float32) -> Signals:

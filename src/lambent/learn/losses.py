@@ -18,8 +18,14 @@ DISCOUNT = 4.0
 CLEAN, TYPICAL = 0.02, 0.15
 #: A relative error of this and more is all the same to `relative_square`.
 FAR = 4.0
-#: The weight of `relative_square`: dots and rims, which few pixels have, are most of what is left.
-SQUARE = 2.0
+#: The ε of a second `relative_square`. relMSE's is a radiance of the frame (`metrics.relmse`), a
+#: network sees frames at an exposure: of dim frames, ε is 0.1 to 2 there, and errors are what lamps
+#: and highlights have.
+WHITE = 0.25
+#: The weights of both: dots and rims, which few pixels have, are most of what is left.
+SQUARE, BRIGHT = 1.0, 4.0
+#: The weight of `structure`.
+STRUCTURE = 2.5
 #: A preference of 1 multiplies the loss by 1 + ASYMMETRY on the wrong side.
 ASYMMETRY = 8.0
 
@@ -40,7 +46,9 @@ def logarithmic(x: Tensor, r: Tensor) -> Tensor:
     return 0.5 * torch.log(ratio).abs().mean(1, keepdim=True)
 
 
-def relative_square(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
+def relative_square(
+    x: Tensor, r: Tensor, deviation: Tensor, epsilon: float | Tensor = EPSILON
+) -> Tensor:
     """√(1 + e²) - 1 with e² = (x - r)² / (r̄² + σ² + ε): relMSE's square, without outliers' power.
 
     σ² is the target's own variance over 5x5 pixels: a target that is dark by chance shall not
@@ -50,17 +58,17 @@ def relative_square(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
     lamps shine everywhere, and this term was ten to twenty times the others.
     """
     variance = F.avg_pool2d(deviation**2, 5, 1, 2, count_include_pad=False)
-    size = r.mean(1, keepdim=True) ** 2 + variance + EPSILON
+    size = r.mean(1, keepdim=True) ** 2 + variance + epsilon
     square = ((x - r) ** 2).mean(1, keepdim=True) / size
     return torch.sqrt(1 + square.clamp_max(FAR**2)) - 1
 
 
-def unbiased(x: Tensor, r: Tensor) -> Tensor:
+def unbiased(x: Tensor, r: Tensor, epsilon: float | Tensor = EPSILON) -> Tensor:
     """Mean of (x - r)² / (x̄² + ε), x̄ held fast: noise of the target does not move its minimum.
 
     A single pixel of the target, far off, counts as 100 at most.
     """
-    size = x.detach().mean(1, keepdim=True) ** 2 + EPSILON
+    size = x.detach().mean(1, keepdim=True) ** 2 + epsilon
     return ((x - r) ** 2 / size).clamp_max(100.0).mean()
 
 
@@ -70,6 +78,33 @@ def gradient(x: Tensor, r: Tensor) -> Tensor:
     down = F.pad((d[:, :, 1:] - d[:, :, :-1]).abs(), (0, 0, 0, 1))
     across = F.pad((d[:, :, :, 1:] - d[:, :, :, :-1]).abs(), (0, 1))
     return (down + across).mean(1, keepdim=True) / 6
+
+
+def displayed(x: Tensor) -> Tensor:
+    """What a screen shows of it, in [0, 1]: `frame.tonemap.srgb`, with a gradient up to 1."""
+    x = x.clamp(0, 1)
+    return torch.where(
+        x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    )
+
+
+def structure(x: Tensor, r: Tensor, deviation: Tensor) -> Tensor:
+    """(1 - SSIM) / 2 of what a screen shows (Wang et al. 2004, eq. 13), in windows of 5x5 pixels.
+
+    The target's noise is no structure of the picture: its variance, carried through the slope of
+    the display, is taken from the target's, or else a picture with noise would be the most similar.
+    """
+    a, b = displayed(x), displayed(r)
+    c1, c2 = 0.01**2, 0.03**2
+    means = F.avg_pool2d(torch.cat([a, b, a * a, b * b, a * b]), 5, 1)
+    ma, mb, aa, bb, ab = means.chunk(5)
+    slope = torch.where(r < 1, 0.44 * r.clamp_min(0.0031308) ** (1 / 2.4 - 1), 0.0)
+    noise = F.avg_pool2d((slope * deviation) ** 2, 5, 1)
+    both, squares = ma * mb, ma * ma + mb * mb
+    vb = (bb - mb * mb - noise).clamp_min(0)
+    above = (2 * both + c1) * (2 * (ab - both) + c2)
+    below = (squares + c1) * ((aa - ma * ma) + vb + c2)
+    return F.pad((1 - above / below).mean(1, keepdim=True) / 2, (2, 2, 2, 2))
 
 
 def asymmetric(x: Tensor, r: Tensor, c: Tensor, preference: Tensor) -> Tensor:
@@ -117,8 +152,11 @@ def denoising(
     terms = {
         "log": (own * logarithmic(x, r)).mean(),
         "square": (own * relative_square(x, r, deviation)).mean(),
+        "bright": (own * relative_square(x, r, deviation, WHITE)).mean(),
         "gradient": (weight * gradient(x, r)).mean(),
         "wide": (share * wide).mean(),
+        "structure": (share * structure(x, r, deviation)).mean(),
     }
-    total = terms["log"] + SQUARE * terms["square"] + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
-    return total, terms
+    total = terms["log"] + SQUARE * terms["square"] + BRIGHT * terms["bright"]
+    total = total + 0.5 * terms["gradient"] + 0.5 * terms["wide"]
+    return total + STRUCTURE * terms["structure"], terms
