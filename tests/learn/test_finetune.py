@@ -97,14 +97,17 @@ def test_against_a_half_brighter_is_not_better(tmp_path):
     """Relative to its own brightness a network that makes all brighter would win."""
     torch.manual_seed(0)
     task = FinetuneTask(halves(tmp_path, 1), "fast")
+    number, *_ = task._held[0]
     task._held = task._held[:1]
+    pair = task.pairs[number]
+    noise = np.random.default_rng(0).exponential(1, pair.target.shape).astype(np.float32)
+    task.pairs[number] = pair = dataclasses.replace(pair, target=pair.target * noise, epsilon=1e-6)
     model = LambentNet("fast").eval()
     device = torch.device("cpu")
     before = task.score(model, device)[0]["score"]
     assert task.score(model, device)[0]["score"] == pytest.approx(before)
-    pair = task.pairs[task._held[0][0]]
-    signals = dataclasses.replace(pair.noisy, colour=3 * pair.noisy.colour)
-    task.pairs[task._held[0][0]] = dataclasses.replace(pair, noisy=signals)
+    signals = dataclasses.replace(pair.noisy, colour=2 * pair.noisy.colour)
+    task.pairs[number] = dataclasses.replace(pair, noisy=signals)
     assert task.score(model, device)[0]["score"] > before
 
 
