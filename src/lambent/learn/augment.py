@@ -21,6 +21,9 @@ from lambent.learn.splat import FILTERS, expected, splatted
 STOPS = 2.0
 #: Standard deviation of the logarithm of the gain of each channel: coloured light.
 TINT = 0.2
+#: Shares of the examples that keep all layers; albedo and normal, as most renderers write them;
+#: none. Where layers are few there is more to learn.
+ALL, PLAIN, COLOUR = 0.33, 0.25, 0.2
 
 
 @dataclass(frozen=True)
@@ -109,15 +112,14 @@ def recoloured(example: Example, rng: np.random.Generator) -> Example:
 def without_some(example: Example, rng: np.random.Generator) -> Example:
     """Some layers dropped, so that one network serves every subset of them.
 
-    Two fifths keep all; a fifth are plain colour, albedo and normal, as most renderers write; 15 %
-    are colour alone; the rest lose each mask's layers by chance.
+    `ALL`, `PLAIN`, `COLOUR`; the rest lose each mask's layers by chance.
     """
     kind = rng.random()
-    if kind < 0.4:
+    if kind < ALL:
         keep = set(MASKS)
-    elif kind < 0.6:
+    elif kind < ALL + PLAIN:
         keep = {"albedo", "normal"}
-    elif kind < 0.75:
+    elif kind < ALL + PLAIN + COLOUR:
         keep = set()
     else:
         keep = {name for name in MASKS if rng.random() < 0.6}

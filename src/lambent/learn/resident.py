@@ -37,7 +37,7 @@ from torch import Tensor
 
 from lambent.denoise.inputs import LAYERS, MASKS, OFFSET, Signals, divisor, encode, pack
 from lambent.learn import lamps
-from lambent.learn.augment import STOPS, TINT
+from lambent.learn.augment import ALL, COLOUR, PLAIN, STOPS, TINT
 from lambent.learn.batches import HIGHEST, MERGED, NEUTRAL, SPLATTED
 from lambent.learn.cache import PLANES_OF, STORED, TARGET_PLANES, Cached
 from lambent.learn.splat import FILTERS, GROUPS
@@ -557,9 +557,9 @@ def without_some(rows: Rows, spp: Tensor, rng: torch.Generator) -> tuple[Tensor,
     kind = _random(size, 1, rng)
     keep = (_random(size, len(names), rng) < 0.6).float()
     plain = torch.tensor([float(n in ("albedo", "normal")) for n in names], device=spp.device)
-    keep = torch.where(kind < 0.75, 0.0, keep)
-    keep = torch.where(kind < 0.6, plain, keep)
-    keep = torch.where(kind < 0.4, 1.0, keep)
+    keep = torch.where(kind < ALL + PLAIN + COLOUR, 0.0, keep)
+    keep = torch.where(kind < ALL + PLAIN, plain, keep)
+    keep = torch.where(kind < ALL, 1.0, keep)
     return keep, torch.where(_random(size, 1, rng)[:, 0] < 0.3, 0.0, spp)
 
 
