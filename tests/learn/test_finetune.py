@@ -120,6 +120,9 @@ def test_epsilon_is_a_radiance_of_the_frame(shots):
     row = task.row(0, 0)  # at another exposure
     gain = row.target.mean() / pair.target.mean()
     assert 0.3 < row.epsilon / (pair.epsilon * gain**2) < 3
+    black = dataclasses.replace(pair, target=0 * pair.target)
+    row = FinetuneTask([black], "fast").row(0, 0)
+    assert row.epsilon == pair.epsilon
 
 
 def test_little_data_frees_the_first_layers_only(shots):

@@ -200,7 +200,8 @@ class FinetuneTask:
                 break
         cut = turned(_cut(pair, y, x), rng)
         example = recoloured(cut, rng)
-        gain = float(example.target.mean() / max(cut.target.mean(), 1e-8))
+        before = float(cut.target.mean())
+        gain = float(example.target.mean()) / before if before > 0 else 1.0
         made = ready(example, 0.0, float(pair.noisy.spp or 0))
         return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
 
@@ -222,7 +223,10 @@ class FinetuneTask:
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
-        """Mean trimmed relMSE on the held-out tiles; of halves `_gain` on what it was at first."""
+        """Mean trimmed relMSE on the held-out tiles.
+
+        Of halves: the error against them, all pixels, and the standard error of how it changed.
+        """
         outputs = []
         for n, y, x in self._held:
             pair = self.pairs[n]
