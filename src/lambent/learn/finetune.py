@@ -8,7 +8,7 @@ other half, whose noise is independent (Lehtinen et al. 2018).
 
 With little data only the first layers are free (Vogels et al. 2018, sec. 5.5: what differs from
 renderer to renderer is what the input looks like). Some tiles of every frame are held out; the
-result is the best model on these, the one that it began with included.
+result is the best model on these, the one that it began with included (of equals, the last).
 """
 
 from __future__ import annotations
@@ -48,15 +48,20 @@ from lambent.metrics.relmse import EPSILON
 CROP = 128
 #: Of so many tiles one is held out.
 HELD_OUT = 6
-#: Side of the squares that halves' errors are compared in.
-BLOCK = 32
+#: Side of the squares that halves' errors are compared in; by how many standard errors it has to be
+#: less, of many checks the best.
+BLOCK, SURE = 32, 2.0
 #: With fewer pixels than this only `FIRST` is free (Vogels 2018); with more, all layers do better.
 LITTLE = 1 << 18
 FIRST = ("stem", "enc0")
 BATCH = 8
-RATE = 2e-3
+#: The learning rate; against halves, whose noise is most of every gradient, a careful one.
+RATE, CAREFUL = 2e-3, 3e-4
 #: The weights of the squared error and of the logarithm, which alone minds what is below ε.
 SQUARE, LOGARITHM = 16.0, 0.4
+#: Scores of a few tiles that differ by less are the same: then the last weights are taken, which
+#: have seen most and whose rate is the lowest.
+ALIKE = 0.02
 SUFFIX = ".reference"
 
 Progress = Callable[[float, float, str], None]
@@ -98,8 +103,8 @@ def finetune(
     size = str(card.get("recipe", {}).get("size", "default"))
     task = FinetuneTask(pairs, size, int8="steps.input" in weights)
     recipe = TrainRecipe(
-        name="finetuned", batch=BATCH, rate=RATE, warmup=20, decay=0.99, check_every=40,
-        steps=1 << 20, last_rate=0.05,
+        name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
+        decay=0.99, check_every=40, steps=1 << 20, last_rate=0.05,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         run = train(
@@ -107,10 +112,12 @@ def finetune(
             check_first=True, progress=_timed(progress, seconds),
         )  # fmt: skip
         checks = [line for line in run.lines() if "check" in line]
+        scores = [line["check"]["score"] for line in checks]
+        before, after, best = scores[0], scores[-1], min(scores)
+        last = after < before and after <= best * (1 + ALIKE)
         model = task.network()
-        model.load_state_dict(run.weights())
-    before = checks[0]["check"]["score"]
-    after = min(line["check"]["score"] for line in checks)
+        model.load_state_dict(run.last_weights() if last else run.weights())
+    after = after if last else best
     steps = checks[-1]["step"]
     card |= {
         "finetuned_from": card.get("name"),
@@ -170,12 +177,14 @@ class FinetuneTask:
             for k, (y, x) in enumerate(_tiles(pair.target))
             if (k + shots.index(pair.shot)) % HELD_OUT == 0
         ]
+        #: Some targets are halves.
+        self.noisy = any(p.noisy_target for p in self.pairs)
         self._first: list[Tensor] = []
 
     def network(self) -> nn.Module:
-        """The network; with little data only its first layers learn."""
+        """The network; with little data or noisy targets only its first layers learn."""
         model = RoundedNet(self.size) if self.int8 else LambentNet(self.size)
-        if sum(p.target[0].size for p in self.pairs) < LITTLE:
+        if self.noisy or sum(p.target[0].size for p in self.pairs) < LITTLE:
             for name, parameter in model.named_parameters():
                 parameter.requires_grad = name.split(".")[0] in FIRST
         return model
@@ -248,7 +257,7 @@ class FinetuneTask:
         score = float(np.mean(errors))
         if unsure:  # what may be better by chance alone is not
             changes = torch.cat(unsure)
-            score += float(changes.std() / len(changes) ** 0.5)
+            score += SURE * float(changes.std() / len(changes) ** 0.5)
         return {"score": score}, {}
 
 

@@ -138,6 +138,10 @@ class Run:
         found = _load(self.best)
         return dict(found["weights"])
 
+    def last_weights(self) -> dict[str, torch.Tensor]:
+        """The mean weights where the run stopped. Raises `FileError` before the first step."""
+        return dict(_load(self.state)["mean"])
+
 
 @dataclass
 class Process:
