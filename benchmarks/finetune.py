@@ -170,6 +170,7 @@ def main() -> None:
             found = errors(str(model), held)
             ratio = f"{found[ERRORS[0]] / start[ERRORS[0]]:.2f}"
             table.append([name, *(f"{v:.5f}" for v in found.values()), ratio])
+            print(" ".join(table[-1]), file=sys.stderr, flush=True)
     head = ["tuned on", "trimmed relMSE", "relMSE", "DSSIM", "HDR-FLIP", "÷ shipped"]
     print(f"{arguments.minutes:g} minutes each, four frames held out\n")
     print(markdown_table(head, table))
