@@ -177,6 +177,10 @@ class FinetuneTask:
             for k, (y, x) in enumerate(_tiles(pair.target))
             if (k + shots.index(pair.shot)) % HELD_OUT == 0
         ]
+        #: The targets, without (NaN) what is held out.
+        self._told = [pair.target.copy() for pair in self.pairs]
+        for n, y, x in self._held:
+            self._told[n][:, y : y + CROP, x : x + CROP] = np.nan
         #: Some targets are halves.
         self.noisy = any(p.noisy_target for p in self.pairs)
         self._first: list[Tensor] = []
@@ -190,27 +194,25 @@ class FinetuneTask:
         return model
 
     def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
-        """Crops from outside the held-out tiles."""
+        """Crops from anywhere; of held-out tiles the target is not told."""
         return ahead(self.row, first, BATCH, rank, world)
 
     def row(self, step: int, number: int) -> Row:
         """Row ``number`` of the batch of ``step``."""
         rng = np.random.default_rng((step, number))
-        while True:
-            pair = self.pairs[int(rng.integers(len(self.pairs)))]
-            height, width = pair.target.shape[1:]
-            y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
-            if not any(
-                self.pairs[n].shot == pair.shot and abs(y - t) < CROP and abs(x - u) < CROP
-                for n, t, u in self._held
-            ):
-                break
-            if rng.random() < 0.02:  # a frame that is nearly all held out
-                break
-        cut = turned(_cut(pair, y, x), rng)
+        which = int(rng.integers(len(self.pairs)))
+        pair = self.pairs[which]
+        height, width = pair.target.shape[1:]
+        y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+        cut = turned(_cut(replace(pair, target=self._told[which]), y, x), rng)
         example = recoloured(cut, rng)
-        before = float(cut.target.mean())
-        gain = float(example.target.mean()) / before if before > 0 else 1.0
+        told = np.isfinite(cut.target)
+        before = float(cut.target.sum(where=told))
+        gain = (
+            float(example.target.sum(where=np.isfinite(example.target))) / before
+            if before > 0
+            else 1.0
+        )
         made = ready(example, 0.0, float(pair.noisy.spp or 0))
         return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
 
@@ -224,11 +226,12 @@ class FinetuneTask:
         """
         b = Batch.of(batch, device)
         x = cleaned(model, b)
+        target = torch.where(torch.isnan(b.target), x.detach(), b.target)  # held out: no error
         epsilon = torch.tensor([r.epsilon for r in batch], device=device)[:, None, None, None]
         if any(r.noisy_target for r in batch):
-            return losses.unbiased(x, b.target, epsilon), {}
-        square = losses.relative_square(x, b.target, b.deviation, epsilon).mean()
-        return SQUARE * square + LOGARITHM * losses.logarithmic(x, b.target).mean(), {}
+            return losses.unbiased(x, target, epsilon), {}
+        square = losses.relative_square(x, target, b.deviation, epsilon).mean()
+        return SQUARE * square + LOGARITHM * losses.logarithmic(x, target).mean(), {}
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
