@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from made import few_threads  # noqa: F401
 
-from lambent.learn import denoising, resident, splat
+from lambent.learn import augment, denoising, resident, splat
 from lambent.learn.augment import Example, merged
 from lambent.learn.batches import ready
 from lambent.learn.denoising import DenoisingTask
@@ -247,8 +247,9 @@ def test_layers_are_kept_as_often_as_row_by_row():
 
     masks, spp = resident.without_some(Some, torch.ones(4000), torch.Generator().manual_seed(0))
     whole, none = masks.all(1).float().mean(), (masks == 0).all(1).float().mean()
-    assert float(whole) == pytest.approx(0.4 + 0.25 * 0.6**7, abs=0.03)
-    assert float(none) == pytest.approx(0.15, abs=0.03)
+    rest = 1 - augment.ALL - augment.PLAIN - augment.COLOUR
+    assert float(whole) == pytest.approx(augment.ALL + rest * 0.6**7, abs=0.03)
+    assert float(none) == pytest.approx(augment.COLOUR + rest * 0.4**7, abs=0.03)
     assert float((spp == 0).float().mean()) == pytest.approx(0.3, abs=0.03)
 
 
