@@ -206,13 +206,8 @@ class FinetuneTask:
         y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
         cut = turned(_cut(replace(pair, target=self._told[which]), y, x), rng)
         example = recoloured(cut, rng)
-        told = np.isfinite(cut.target)
-        before = float(cut.target.sum(where=told))
-        gain = (
-            float(example.target.sum(where=np.isfinite(example.target))) / before
-            if before > 0
-            else 1.0
-        )
+        before = float(np.nansum(cut.target))
+        gain = float(np.nansum(example.target)) / before if before > 0 else 1.0
         made = ready(example, 0.0, float(pair.noisy.spp or 0))
         return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
 

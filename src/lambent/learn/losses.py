@@ -19,8 +19,8 @@ CLEAN, TYPICAL = 0.02, 0.15
 #: A relative error of this and more is all the same to `relative_square`.
 FAR = 4.0
 #: The ε of a second `relative_square`. relMSE's is a radiance of the frame (`metrics.relmse`), a
-#: network sees frames at an exposure: of dim frames, ε is 0.1 to 2 there, and errors are what lamps
-#: and highlights have.
+#: network sees frames at an exposure: of dim frames, ε is 0.1 to 0.6 there, and errors are what
+#: lamps and highlights have.
 WHITE = 0.25
 #: The weights of both: dots and rims, which few pixels have, are most of what is left.
 SQUARE, BRIGHT = 1.0, 4.0
