@@ -6,7 +6,7 @@ import pytest
 from lambent.denoise import inputs, prepare
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import padded
+from lambent.kernels.pyramid import Workspace, average_planes, logits_memory, padded
 
 
 def frame(height=40, width=52, seed=0, **without):
@@ -123,8 +123,18 @@ def test_split_and_merged_are_inverse_for_any_gate():
     made = frame()
     given = prepare.Given.of(made)
     alpha = made[Role.ROUGHNESS]
-    level = prepare.split(given, [made.colour, alpha], [True, False], "auto")
+    space = Workspace()
+    d = prepare.divisors(given, "auto", space)
+    assert d is not None
+    as_it_is = logits_memory((100, d.height // 2, d.width // 2))
+    as_it_is[...] = np.where(np.arange(25) == 12, 0, -100).repeat(4)[:, None, None]
+    d = average_planes(as_it_is, d, "auto", space)
+    expected = given.divisor()
+    assert expected is not None
+    inside = d.planes[:, : made.height, : made.width].transpose(1, 2, 0)
+    np.testing.assert_allclose(inside, expected, rtol=1e-5)
+    level = prepare.split(given, [made.colour, alpha], [True, False], d, "auto", space)
     gate = np.random.default_rng(0).normal(size=(4, 32, 32)).astype(np.float32)
-    colour, same = prepare.merged(given, level, gate, [3, 1], [True, False], "auto")
+    colour, same = prepare.merged(given, level, gate, [3, 1], [True, False], d, "auto")
     np.testing.assert_allclose(colour, made.colour, rtol=1e-5)
     np.testing.assert_array_equal(same, alpha)

@@ -45,8 +45,9 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.misses import missing_depth
 from lambent.frame.role import Role
 
-#: Counts up when a network trained for one description could not read the other.
-VERSION = 1
+#: Counts up when a network trained for one description could not read the other, or says what the
+#: filter of the other does not know (2: the albedo's kernels).
+VERSION = 2
 #: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
 OFFSET = 0.05
 #: t(v) = log(1 + SLOPE v) / RANGE: 0.18 becomes 0.22, 1 becomes 0.47, 1000 becomes 1.6.

@@ -6,8 +6,9 @@ weights of averages, and the same ones filter the beauty, all lighting layers an
 
     out = g · d · F(layer / d) + (1 - g) · F(layer)
 
-with F the pyramid of kernels, d the albedo, g a gate; alpha is F(alpha). Each is linear in the
-layer, so layers that sum to the beauty still do, grey stays grey, and coverage stays in [0, 1].
+with F the pyramid of kernels, d the albedo, cleaned by kernels of its own, g a gate; alpha is
+F(alpha). Each is linear in the layer, so layers that sum to the beauty still do, grey stays grey,
+and coverage stays in [0, 1].
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lambent.denoise import prepare, runtime
-from lambent.denoise.inputs import albedo_of, divisor
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import EngineError, OptionError
 from lambent.filters.denoiser import About, Denoiser
@@ -33,6 +33,7 @@ from lambent.kernels.pyramid import (
     COARSE,
     OWN,
     as_floats,
+    average_planes,
     compile_all,
     filter_planes,
     padded,
@@ -109,20 +110,22 @@ class Lambent(Denoiser):
         """The weights ``(H, W)`` of pixel (x, y), all scales put together, with the mean albedo."""
         whole = self._whole or prepare.Whole.of(frame)
         given = prepare.Given.of(frame)
+        d = prepare.divisors(given, "cpu")
         with self._network() as network:
             packed = prepare.packed_inputs(given, whole, self.preference, "cpu", step=network.step)
-            logits = [level.copy() for level in network(packed)]
+            *levels, of_albedo = network(packed)
+            d = None if d is None else average_planes(of_albedo, d, "cpu")
+            levels = [level.copy() for level in levels]
         height, width = frame.height, frame.width
         mask = np.zeros((padded(height), padded(width)), np.float32)
         mask[:height, :width] = 1
-        found = pyramid_weights(logits, mask, x, y)[:height, :width]
-        albedo = albedo_of(frame)
-        if albedo is None:
+        found = pyramid_weights(levels, mask, x, y)[:height, :width]
+        if d is None:
             return found
-        d = divisor(np, np.nan_to_num(albedo.transpose(2, 0, 1))).mean(axis=0)
+        own = d.planes[:, :height, :width].mean(axis=0)
         channel = _GATE + 2 * (y % 2) + x % 2
-        gate = 1 / (1 + np.exp(-float(as_floats(logits[0][channel])[y // 2, x // 2])))
-        return np.asarray(found * (gate * d[y, x] / d + 1 - gate), np.float32)
+        gate = 1 / (1 + np.exp(-float(as_floats(levels[0][channel])[y // 2, x // 2])))
+        return np.asarray(found * (gate * own[y, x] / own + 1 - gate), np.float32)
 
     def at_strength(self, strength: float) -> tuple[Lambent, float]:
         """From 1 to 1/2 the preference rises to 1; below, its result is blended with the input.
@@ -179,15 +182,17 @@ class Lambent(Denoiser):
                 given, whole, self.preference, "cpu", memory, same, network.step
             )
             network.holds(given.arrays)
-            logits = network(packed)
+            *levels, of_albedo = network(packed)
+            d = prepare.divisors(given, "cpu", space) if any(divided) else None
+            d = None if d is None else average_planes(of_albedo, d, "cpu", space)
             for first in range(0, len(images), _AT_ONCE):
                 some = list(images[first : first + _AT_ONCE])
                 by = list(divided[first : first + _AT_ONCE])
-                level = prepare.split(given, some, by, "cpu", space)
-                level = filter_planes(logits, level, "cpu", space)
+                level = prepare.split(given, some, by, d, "cpu", space)
+                level = filter_planes(levels, level, "cpu", space)
                 channels = [image.shape[2] for image in some]
-                gate = logits[0][_GATE:]
-                results += prepare.merged(given, level, gate, channels, by, "cpu")
+                gate = levels[0][_GATE:]
+                results += prepare.merged(given, level, gate, channels, by, d, "cpu")
         return results
 
     def _by_torch(

@@ -4,7 +4,8 @@
 Dr.Jit kernel: a thread takes four pixels, reads every layer once and writes every channel. The
 frame is continued to multiples of 32 by its mirror image: the last row again and again would be
 stripes, which a network takes for texture as far as it can see. `split` and `merged` are the two
-ends of the filter: colour and colour/albedo as planes, and both put together by the gate.
+ends of the filter: colour and colour/d as planes, and both put together by the gate; `divisors`
+makes d, of the albedo.
 """
 
 from __future__ import annotations
@@ -241,44 +242,70 @@ def _depth(dr: Any, value: Any) -> tuple[Any, Any]:
 # --------------------------------------------------------------- the filter's ends
 
 
+def divisors(given: Given, device: str, workspace: Workspace | None = None) -> Level | None:
+    """The albedo plus `OFFSET` as three planes, to be averaged; None without an albedo.
+
+    They are where `split` writes, so that is for after they have been averaged.
+    """
+    if not given.has("albedo"):
+        return None
+    module = backend(device)
+    import drjit as dr  # after `backend`, which says where LLVM is
+
+    level = level_of(3, given.height, given.width, workspace)
+    array, channels = given.arrays["albedo"]
+    flat = module.Float(array)
+    index = dr.arange(module.UInt32, given.height * given.width)
+    values = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
+    d = [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in values]
+    target = module.Float(level.memory.reshape(-1))
+    place = _places(dr, module, given, level, index)
+    _, rows, stride = level.memory.shape
+    for c, value in enumerate(d):
+        dr.scatter(target, value, place + dr.opaque(module.UInt32, rows * stride) * c)
+    dr.eval(target)
+    dr.sync_thread()
+    _stored(level, target)
+    return level
+
+
 def split(
     given: Given,
     images: Sequence[FloatImage],
     divided: Sequence[bool],
+    d: Level | None,
     device: str,
     workspace: Workspace | None = None,
 ) -> Level:
     """Images ``(H, W, 1 or 3)`` as planes for the filter.
 
-    Where ``divided``, an image gives its planes divided by the albedo, then its own; else only its
-    own. Without an albedo nothing is divided. What is not finite counts as 0.
+    Where ``divided``, an image gives its planes divided by those of ``d``, then its own; else only
+    its own. Without ``d`` nothing is divided. What is not finite counts as 0.
     """
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
 
     height, width = given.height, given.width
-    has_albedo = given.has("albedo")
     counts = [
-        i.shape[2] * (2 if d and has_albedo else 1) for i, d in zip(images, divided, strict=True)
+        image.shape[2] * (2 if own and d is not None else 1)
+        for image, own in zip(images, divided, strict=True)
     ]
     level = level_of(sum(counts), height, width, workspace)
     _, rows, stride = level.memory.shape
     target = module.Float(level.memory.reshape(-1))
     index = dr.arange(module.UInt32, height * width)
-    columns = dr.opaque(module.UInt32, width)
-    place = (index // columns) * dr.opaque(module.UInt32, stride) + index % columns
-    place += dr.opaque(module.UInt32, level.start)
+    place = _places(dr, module, given, level, index)
     step = dr.opaque(module.UInt32, rows * stride)
-    d = _divisors(dr, module, given, index) if has_albedo else None
+    by = _read(dr, module, d, place) if d is not None else None
     plane = 0
     for image, wanted in zip(images, divided, strict=True):
         channels = image.shape[2]
         flat = module.Float(np.ascontiguousarray(image, np.float32).reshape(-1))
         values = [dr.gather(module.Float, flat, index * channels + c) for c in range(channels)]
         values = [dr.select(dr.isfinite(v), v, 0) for v in values]  # or it would spread
-        if wanted and d is not None:
+        if wanted and by is not None:
             for c, value in enumerate(values):
-                own = d[c] if channels == 3 else (d[0] + d[1] + d[2]) / 3
+                own = by[c] if channels == 3 else (by[0] + by[1] + by[2]) / 3
                 dr.scatter(target, value / own, place + step * plane)
                 plane += 1
         for value in values:
@@ -286,8 +313,7 @@ def split(
             plane += 1
     dr.eval(target)
     dr.sync_thread()
-    if target.numpy().ctypes.data != level.memory.ctypes.data:  # a device with its own memory
-        level.memory[...] = target.numpy().reshape(level.memory.shape)
+    _stored(level, target)
     return level
 
 
@@ -297,6 +323,7 @@ def merged(
     gate: Logits,
     channels: Sequence[int],
     divided: Sequence[bool],
+    d: Level | None,
     device: str,
 ) -> list[FloatImage]:
     """The images out of the filtered planes: g · d · F(c / d) + (1 - g) · F(c).
@@ -312,11 +339,11 @@ def merged(
     index = dr.arange(module.UInt32, height * width)
     columns = dr.opaque(module.UInt32, width)
     row, column = index // columns, index % columns
-    place = row * dr.opaque(module.UInt32, stride) + column + dr.opaque(module.UInt32, level.start)
+    place = _places(dr, module, given, level, index)
     step = dr.opaque(module.UInt32, rows * stride)
-    d, g = None, None
-    if given.has("albedo") and any(divided):
-        d = _divisors(dr, module, given, index)
+    by, g = None, None
+    if d is not None and any(divided):
+        by = _read(dr, module, d, place)
         cells = dr.opaque(module.UInt32, gate.shape[1] * gate.shape[2])
         at = ((row & 1) * 2 + (column & 1)) * cells
         at += (row >> 1) * dr.opaque(module.UInt32, gate.shape[2]) + (column >> 1)
@@ -330,12 +357,12 @@ def merged(
         out = module.Float(memory)
         values = [
             dr.gather(module.Float, source, place + step * (plane + c))
-            for c in range(count * (2 if wanted and d is not None else 1))
+            for c in range(count * (2 if wanted and by is not None else 1))
         ]
         plane += len(values)
-        if wanted and d is not None and g is not None:
+        if wanted and by is not None and g is not None:
             for c in range(count):
-                own = d[c] if count == 3 else (d[0] + d[1] + d[2]) / 3
+                own = by[c] if count == 3 else (by[0] + by[1] + by[2]) / 3
                 value = dr.fma(g, own * values[c] - values[count + c], values[count + c])
                 dr.scatter(out, value, index * count + c)
         else:
@@ -349,9 +376,22 @@ def merged(
     return results
 
 
-def _divisors(dr: Any, module: Any, given: Given, index: Any) -> list[Any]:
-    """d in three channels."""
-    array, channels = given.arrays["albedo"]
-    flat = module.Float(array)
-    values = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
-    return [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in values]
+def _places(dr: Any, module: Any, given: Given, level: Level, index: Any) -> Any:
+    """Where a level's first plane has the pixels of the frame."""
+    columns = dr.opaque(module.UInt32, given.width)
+    stride = dr.opaque(module.UInt32, level.memory.shape[2])
+    return index // columns * stride + index % columns + dr.opaque(module.UInt32, level.start)
+
+
+def _read(dr: Any, module: Any, level: Level, place: Any) -> list[Any]:
+    """Three planes of a level there."""
+    _, rows, stride = level.memory.shape
+    source = module.Float(level.memory.reshape(-1))
+    step = dr.opaque(module.UInt32, rows * stride)
+    return [dr.gather(module.Float, source, place + step * c) for c in range(3)]
+
+
+def _stored(level: Level, target: Any) -> None:
+    """What was written to ``target`` is in the level, on a device with its own memory too."""
+    if target.numpy().ctypes.data != level.memory.ctypes.data:
+        level.memory[...] = target.numpy().reshape(level.memory.shape)

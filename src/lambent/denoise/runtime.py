@@ -29,8 +29,9 @@ from lambent.frame.layer import FloatImage
 from lambent.kernels.pyramid import Logits, Workspace, logits_memory
 from lambent.startup import cache_folder
 
-#: Levels of the pyramid, and the channels that the network gives for each (`learn.networks`).
-OUTPUTS = (144, 35, 35, 35, 25)
+#: The channels that the network gives (`learn.networks.lambent`), and at which fraction of the
+#: packed size: of the pyramid's levels, and of the albedo's kernels.
+OUTPUTS = ((144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (100, 1))
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,8 @@ class PyramidNetwork(Network):
     def __call__(self, packed: NDArray[Any]) -> list[Logits]:
         """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
 
-        ``packed`` is int8 or float32, as `step` says.
+        The last are those of the albedo ``(100, H/2, W/2)``. ``packed`` is int8 or float32, as
+        `step` says.
         They are bfloat16 (`kernels.pyramid`): the largest tensors there are, and half as large.
 
         Only within ``with network:``; the arrays are written again by the next call.
@@ -156,10 +158,7 @@ class PyramidNetwork(Network):
         import openvino as ov
 
         height, width = packed.shape[2:]
-        shapes = [
-            (count, height >> max(level - 1, 0), width >> max(level - 1, 0))
-            for level, count in enumerate(OUTPUTS)
-        ]
+        shapes = [(count, height // part, width // part) for count, part in OUTPUTS]
         if [a.shape for a in self._logits] != shapes:
             self._logits, self._request = [], None  # let go first
             self._graph.reshape([1, packed.shape[1], height, width])

@@ -160,6 +160,24 @@ def filter_planes(
     return out
 
 
+def average_planes(
+    logits: Logits, level: Level, device: str = "auto", workspace: Workspace | None = None
+) -> Level:
+    """The planes of ``level`` averaged in windows of 5x5 alone, without a pyramid.
+
+    ``logits`` ``(4·K, H/2, W/2)``, K at least 25, as `filter_planes` takes those of the finest
+    level; the result lives as long as that of `filter_planes`.
+    """
+    space = workspace or Workspace()
+    if not available(device):
+        found = Level.empty(level.channels, level.height, level.width)
+        (z,) = _unpacked([logits])
+        found.planes[...] = _averaged(z, level.planes, level.mask, None, None)
+        found.mask[...] = level.mask
+        return found
+    return _gather(level, logits, None, space, 0, "alone")
+
+
 def logits_memory(shape: tuple[int, ...], short: bool = False) -> Logits:
     """An array for logits with room behind its end, as kernels that read whole vectors need.
 
@@ -183,7 +201,7 @@ def compile_all() -> None:
     if available():
         for packed in (True, False):
             _down_kernel(packed, short=True).prepare()
-        for packed, coarse in ((True, True), (False, True), (False, False)):
+        for packed, coarse in ((True, True), (False, True), (False, False), (True, False)):
             _gather_kernel(packed, coarse, short=True).prepare()
 
 
@@ -211,11 +229,16 @@ def _down(level: Level, logits: Logits, space: Workspace, number: int) -> Level:
 
 
 def _gather(
-    level: Level, logits: Logits, coarse: Level | None, space: Workspace, number: int
+    level: Level,
+    logits: Logits,
+    coarse: Level | None,
+    space: Workspace,
+    number: int,
+    name: str = "out",
 ) -> Level:
     """A level filtered, equations (2) and (3)."""
     packed, channels = number == 0, level.channels
-    out = space.level(f"out{number}", channels, level.height, level.width)
+    out = space.level(f"{name}{number}", channels, level.height, level.width)
     out.memory[0] = level.memory[0]
     above = coarse if coarse is not None else level
     _gather_kernel(packed, coarse is not None, logits.dtype == np.uint16).rows(
@@ -445,23 +468,34 @@ def reference(logits: Sequence[Logits], image: FloatImage, mask: FloatImage) -> 
         masks.append(_cells(m).max(axis=(1, 3)))
     out: FloatImage | None = None
     for number in range(len(planes) - 1, -1, -1):
-        c, m = images[number], masks[number]
-        taps = OWN if out is None else OWN + COARSE
-        e = np.exp(planes[number][:taps] - planes[number][:taps].max(axis=0))
-        total, sums = np.zeros_like(m), np.zeros_like(c)
-        for k in range(taps):
-            if k < OWN:
-                value, there = _moved(c, *divmod(k, 5), 2), _moved(m[None], *divmod(k, 5), 2)
-            else:
-                assert out is not None
-                y, x = divmod(k - OWN, 3)
-                value = _doubled(_moved(out, y, x, 1))
-                there = _doubled(_moved(masks[number + 1][None], y, x, 1))
-            total += e[k] * there[0]
-            sums += e[k] * value
-        out = (sums / (total + TINY) * m).astype(np.float32)
+        below = masks[number + 1] if out is not None else None
+        out = _averaged(planes[number], images[number], masks[number], out, below)
     assert out is not None
     return out
+
+
+def _averaged(
+    z: FloatImage,
+    c: FloatImage,
+    m: FloatImage,
+    coarse: FloatImage | None,
+    coarse_mask: FloatImage | None,
+) -> FloatImage:
+    """Equations (2) and (3) of one level: ``z`` ``(K, H, W)``, ``c`` ``(C, H, W)``, masks."""
+    taps = OWN if coarse is None else OWN + COARSE
+    e = np.exp(z[:taps] - z[:taps].max(axis=0))
+    total, sums = np.zeros_like(m), np.zeros_like(c)
+    for k in range(taps):
+        if k < OWN:
+            value, there = _moved(c, *divmod(k, 5), 2), _moved(m[None], *divmod(k, 5), 2)
+        else:
+            assert coarse is not None and coarse_mask is not None
+            y, x = divmod(k - OWN, 3)
+            value = _doubled(_moved(coarse, y, x, 1))
+            there = _doubled(_moved(coarse_mask[None], y, x, 1))
+        total += e[k] * there[0]
+        sums += e[k] * value
+    return np.asarray(sums / (total + TINY) * m, np.float32)
 
 
 def weights_at(logits: Sequence[Logits], mask: FloatImage, x: int, y: int) -> FloatImage:

@@ -67,16 +67,18 @@ def filtered(
     height, width = images[0].shape[:2]
     room = (0, 2 * packed.shape[3] - width, 0, 2 * packed.shape[2] - height)
     mask = F.pad(torch.ones(1, 1, height, width, device=device), room)
-    gate = torch.sigmoid(F.pixel_shuffle(logits[0][:, 4 * LOGITS :].float(), 2))
+    *levels, of_albedo = logits
+    gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
     found = []
     for image, divisor in zip(images, divisors, strict=True):
         c = torch.nan_to_num(_planes(image, device), 0, 0, 0)
         if divisor is None:
-            out = masked(logits, F.pad(c, room), mask)
+            out = masked(levels, F.pad(c, room), mask)
         else:
-            d = _planes(divisor, device)
-            both = masked(logits, F.pad(torch.cat([c / d, c], 1), room), mask)
-            n, d = c.shape[1], F.pad(d, room, value=1.0)
+            d = _within(of_albedo, F.pad(_planes(divisor, device), room), mask, None, None, True)
+            d = torch.where(mask > 0, d, 1.0)
+            n, c = c.shape[1], F.pad(c, room)
+            both = masked(levels, torch.cat([c / d, c], 1), mask)
             out = gate * d * both[:, :n] + (1 - gate) * both[:, n:]
         out = out[0, :, :height, :width].permute(1, 2, 0)
         found.append(np.ascontiguousarray(out.cpu().numpy()))
@@ -98,12 +100,25 @@ def masked(logits: Sequence[Tensor], image: Tensor, mask: Tensor) -> Tensor:
         masks.append(F.max_pool2d(masks[-1], 2))
     out: Tensor | None = None
     for number in range(len(logits) - 1, -1, -1):
-        own = torch.cat([images[number], masks[number]], 1)
-        above = None if out is None else torch.cat([out, masks[number + 1]], 1)
-        both = average(logits[number], own, above, packed=number == 0)
-        out = both[:, :-1] / (both[:, -1:] + TINY) * masks[number]
+        below = None if out is None else masks[number + 1]
+        out = _within(logits[number], images[number], masks[number], out, below, number == 0)
     assert out is not None
     return out
+
+
+def _within(
+    logits: Tensor,
+    image: Tensor,
+    mask: Tensor,
+    coarse: Tensor | None,
+    coarse_mask: Tensor | None,
+    packed: bool,
+) -> Tensor:
+    """`kernel_pyramid.average` over the pixels that are there."""
+    own = torch.cat([image, mask], 1)
+    above = None if coarse is None or coarse_mask is None else torch.cat([coarse, coarse_mask], 1)
+    both = average(logits, own, above, packed)
+    return both[:, :-1] / (both[:, -1:] + TINY) * mask
 
 
 def _folded(image: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ What it predicts and why: `kernel_pyramid` and `denoise.inputs`. The backbone is
 be, because plain 3x3 convolutions with ReLU are what int8 runs fastest: no normalisation, no
 attention, strided convolutions on the way down, nearest neighbours on the way up::
 
-    half      stem ─ enc0 ──────────────────────────── dec0a ─ dec0b ─ head1, head0 (full size)
+    half      stem ─ enc0 ──────────────────────── dec0a ─ dec0b ─ head1, head0, albedo (full size)
     quarter        down1 ─ enc1 ────────────── dec1a ─ dec1b ─ head2
     eighth                down2 ─ enc2 ─ dec2a ─ dec2b ─ head3
     sixteenth                    down3 ─ enc3a ─ enc3b ─ head4
@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lambent.denoise.inputs import CHANNELS
-from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply
+from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply, average
 
 #: Widths of the four levels, by size.
 WIDTHS = {
@@ -30,13 +30,16 @@ WIDTHS = {
 }
 #: The image's sides must be multiples of this.
 MULTIPLE = 32
+#: Logit of a pixel's own albedo in a fresh network: the albedo nearly as it is, 24 others at 0.
+AS_IT_IS = 5.0
 
 
 class LambentNet(nn.Module):
     """Packed inputs ``(B, CHANNELS, H/2, W/2)`` to logits.
 
-    Returns five tensors: ``(B, 4·36, H/2, W/2)`` for the full size (`unshuffled` takes it apart),
-    then ``(B, 35, …)`` at half, quarter and eighth, ``(B, 25, …)`` at a sixteenth.
+    Returns the logits of five levels: ``(B, 4·36, H/2, W/2)`` for the full size, the gate's last,
+    then ``(B, 35, …)`` at half, quarter and eighth, ``(B, 25, …)`` at a sixteenth; and those of the
+    albedo's kernels, ``(B, 4·25, H/2, W/2)``.
     """
 
     def __init__(self, size: str = "default") -> None:
@@ -63,15 +66,19 @@ class LambentNet(nn.Module):
         self.head2 = nn.Conv2d(b, LOGITS, 1)
         self.head3 = nn.Conv2d(c, LOGITS, 1)
         self.head4 = nn.Conv2d(d, OWN, 1)
+        self.albedo = nn.Conv2d(a, 4 * OWN, 1)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 nn.init.zeros_(module.bias)  # type: ignore[arg-type]
-        for head in (self.head0, self.head1, self.head2, self.head3, self.head4):
+        for head in (self.head0, self.head1, self.head2, self.head3, self.head4, self.albedo):
             nn.init.normal_(head.weight, std=0.02)  # begin with nearly equal weights
+        with torch.no_grad():
+            own = 4 * (OWN // 2)
+            self.albedo.bias[own : own + 4] = AS_IT_IS  # type: ignore[index]
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The logits of the five levels, finest first."""
+    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
+        """The logits of the five levels, finest first, and those of the albedo."""
 
         def r(name: str, z: Tensor) -> Tensor:
             return self.rounded(name, F.relu(z))
@@ -85,7 +92,8 @@ class LambentNet(nn.Module):
         d2 = r("at_quarter", self.dec2b(r("dec2a", self.dec2a(torch.cat([_up(e3), e2], 1)))))
         d1 = r("at_half", self.dec1b(r("dec1a", self.dec1a(torch.cat([_up(d2), e1], 1)))))
         d0 = r("dec0b", self.dec0b(r("dec0a", self.dec0a(torch.cat([_up(d1), e0], 1)))))
-        return self.head0(d0), self.head1(d0), self.head2(d1), self.head3(d2), self.head4(e3)
+        levels = self.head0(d0), self.head1(d0), self.head2(d1), self.head3(d2), self.head4(e3)
+        return *levels, self.albedo(d0)
 
     def rounded(self, name: str, x: Tensor) -> Tensor:
         """An activation as int8 knows it; as it is, in this network in float (`rounded`)."""
@@ -95,16 +103,21 @@ class LambentNet(nn.Module):
 def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Tensor:
     """Filter ``colour`` ``(B, 3, H, W)`` with the network's outputs.
 
-    With F the filter of the pyramid, d the divisor and g the gate in (0, 1):
+    With F the filter of the pyramid, d the divisor, a(p, q) the albedo's kernels, 5x5 softmax
+    weights, and g the gate in (0, 1):
 
-        out = g · d · F(colour / d) + (1 - g) · F(colour)
+        d̂(p) = Σ a(p, q) d(q)
+        out  = g · d̂ · F(colour / d̂) + (1 - g) · F(colour)
 
     The first term keeps texture under light that varies slowly; the second is for pixels whose
-    albedo is itself noise (depth of field) or says nothing (glass, smoke).
+    albedo says nothing (glass, smoke). d̂, because the albedo is noise itself, at few samples and
+    where it is fog's or out of focus: what it multiplies would have all of that noise again.
     """
-    both = apply(outputs, torch.cat([colour / divisor, colour], 1))
-    gate = torch.sigmoid(F.pixel_shuffle(outputs[0][:, 4 * LOGITS :].float(), 2))
-    return gate * divisor * both[:, :3] + (1 - gate) * both[:, 3:]
+    *levels, of_albedo = outputs
+    d = average(of_albedo, divisor, None, packed=True)
+    both = apply(levels, torch.cat([colour / d, colour], 1))
+    gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
+    return gate * d * both[:, :3] + (1 - gate) * both[:, 3:]
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
