@@ -126,8 +126,8 @@ def test_split_and_merged_are_inverse_for_any_gate():
     space = Workspace()
     d = prepare.divisors(given, "auto", space)
     assert d is not None
-    as_it_is = logits_memory((100, d.height // 2, d.width // 2))
-    as_it_is[...] = np.where(np.arange(25) == 12, 0, -100).repeat(4)[:, None, None]
+    as_it_is = logits_memory((36, d.height // 2, d.width // 2))
+    as_it_is[...] = np.where(np.arange(9) == 4, 0, -100).repeat(4)[:, None, None]
     d = average_planes(as_it_is, d, "auto", space)
     expected = given.divisor()
     assert expected is not None

@@ -40,6 +40,23 @@ def test_the_kernels_are_the_reference(height, width):
 
 
 @pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
+@pytest.mark.parametrize(("height", "width"), [(32, 32), (100, 150), (1, 1)])
+def test_near_averages_are_the_reference(monkeypatch, height, width):
+    rng = np.random.default_rng(height)
+    level = filled(rng, 3, height, width)
+    half = (level.height // 2, level.width // 2)
+    logits = pyramid.logits_memory((36, *half))
+    logits[...] = rng.normal(size=(36, *half)) * 3
+    found = pyramid.average_planes(logits, level).planes.copy()
+    monkeypatch.setattr(pyramid, "available", lambda device: False)
+    expected = pyramid.average_planes(logits, level).planes
+    np.testing.assert_allclose(found, expected, atol=3e-6)
+    assert not found[:, height:].any()
+    low, high = level.planes[:, :height, :width].min(), level.planes.max()
+    assert low - 1e-5 <= found[:, :height, :width].min() <= found.max() <= high + 1e-5
+
+
+@pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
 def test_short_logits_are_their_floats():
     rng = np.random.default_rng(5)
     logits, level = random_logits(rng, 70, 90), filled(rng, 6, 70, 90)

@@ -89,3 +89,35 @@ def test_any_number_of_channels(monkeypatch, channels):
     torch.testing.assert_close(a, b, atol=3e-6, rtol=1e-5)
     for one, two in zip(a_grads, b_grads, strict=True):
         torch.testing.assert_close(one, two, atol=2e-5 * float(two.abs().max()), rtol=1e-3)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_near_is_a_softmax_over_nine_neighbours(monkeypatch, compiled):
+    if compiled and not machine.available("cpu"):
+        pytest.skip("needs LLVM")
+    monkeypatch.setattr(kernel_pyramid, "available", lambda: compiled)
+    torch.manual_seed(0)
+    z = torch.randn(2, 36, 16, 16, requires_grad=True)
+    image, weight = torch.rand(2, 3, 32, 32), torch.rand(2, 3, 32, 32)
+    (kernel_pyramid.near(z, image) * weight).sum().backward()
+    again = z.detach().clone().requires_grad_()
+    logits = torch.nn.functional.pixel_shuffle(again, 2)
+    one = torch.nn.functional.unfold(torch.ones(1, 1, 32, 32), 3, padding=1).reshape(1, 9, 32, 32)
+    share = torch.softmax(torch.where(one > 0, logits, -torch.inf), 1)
+    taps = torch.nn.functional.unfold(image, 3, padding=1).reshape(2, 3, 9, 32, 32)
+    expected = (taps * share[:, None]).sum(2)
+    (expected * weight).sum().backward()
+    torch.testing.assert_close(kernel_pyramid.near(z, image), expected, atol=3e-6, rtol=1e-5)
+    torch.testing.assert_close(z.grad, again.grad, atol=1e-5, rtol=1e-3)
+
+
+def test_the_run_time_averages_the_albedo_alike():
+    torch.manual_seed(1)
+    z = torch.randn(1, 36, 16, 32)
+    level = pyramid.level_of(3, 32, 64)
+    level.planes[...] = np.random.default_rng(0).random(level.planes.shape, np.float32)
+    expected = kernel_pyramid.near(z, torch.tensor(level.planes.copy()[None]))[0]
+    memory = pyramid.logits_memory((36, 16, 32))
+    memory[...] = z[0].numpy()
+    out = pyramid.average_planes(memory, level).planes
+    np.testing.assert_allclose(out, expected.numpy(), atol=3e-6)

@@ -31,6 +31,8 @@ from lambent.kernels.machine import LANES, Code, Kernel, available
 
 #: Taps of a level's own window (5x5), and of the coarser level's (3x3).
 OWN, COARSE = 25, 9
+#: Taps of `average_planes` (3x3).
+NEAR = 9
 #: float32, or the upper halves of float32 in uint16.
 Logits = NDArray[Any]
 #: Keeps a division by no weight finite; below e^-80, which a border pixel may be left with.
@@ -163,19 +165,19 @@ def filter_planes(
 def average_planes(
     logits: Logits, level: Level, device: str = "auto", workspace: Workspace | None = None
 ) -> Level:
-    """The planes of ``level`` averaged in windows of 5x5 alone, without a pyramid.
+    """The planes of ``level`` averaged in windows of 3x3 alone, without a pyramid.
 
-    ``logits`` ``(4·K, H/2, W/2)``, K at least 25, as `filter_planes` takes those of the finest
-    level; the result lives as long as that of `filter_planes`.
+    ``logits`` ``(36, H/2, W/2)`` in the order of the finest level's of `filter_planes`; the result
+    lives as long as that function's.
     """
     space = workspace or Workspace()
     if not available(device):
         found = Level.empty(level.channels, level.height, level.width)
         (z,) = _unpacked([logits])
-        found.planes[...] = _averaged(z, level.planes, level.mask, None, None)
+        found.planes[...] = _averaged(z, level.planes, level.mask, None, None, side=3)
         found.mask[...] = level.mask
         return found
-    return _gather(level, logits, None, space, 0, "alone")
+    return _gather(level, logits, None, space, 0, side=3)
 
 
 def logits_memory(shape: tuple[int, ...], short: bool = False) -> Logits:
@@ -201,7 +203,8 @@ def compile_all() -> None:
     if available():
         for packed in (True, False):
             _down_kernel(packed, short=True).prepare()
-        for packed, coarse in ((True, True), (False, True), (False, False), (True, False)):
+        _gather_kernel(True, False, short=True, side=3).prepare()
+        for packed, coarse in ((True, True), (False, True), (False, False)):
             _gather_kernel(packed, coarse, short=True).prepare()
 
 
@@ -234,14 +237,14 @@ def _gather(
     coarse: Level | None,
     space: Workspace,
     number: int,
-    name: str = "out",
+    side: int = 5,
 ) -> Level:
-    """A level filtered, equations (2) and (3)."""
+    """A level filtered, equations (2) and (3); ``side`` of a level's own window."""
     packed, channels = number == 0, level.channels
-    out = space.level(f"{name}{number}", channels, level.height, level.width)
+    out = space.level(f"out{number}x{side}", channels, level.height, level.width)
     out.memory[0] = level.memory[0]
     above = coarse if coarse is not None else level
-    _gather_kernel(packed, coarse is not None, logits.dtype == np.uint16).rows(
+    _gather_kernel(packed, coarse is not None, logits.dtype == np.uint16, side).rows(
         [
             *level.params,
             *above.params,
@@ -350,8 +353,9 @@ def _down_kernel(packed: bool, short: bool) -> Kernel:
 
 
 @functools.lru_cache(maxsize=8)
-def _gather_kernel(packed: bool, with_coarse: bool, short: bool) -> Kernel:
-    taps = OWN + (COARSE if with_coarse else 0)
+def _gather_kernel(packed: bool, with_coarse: bool, short: bool, side: int = 5) -> Kernel:
+    own_taps, reach = side * side, side // 2
+    taps = own_taps + (COARSE if with_coarse else 0)
     parts = 2 if packed else 1
     step = parts * LANES
 
@@ -368,7 +372,7 @@ def _gather_kernel(packed: bool, with_coarse: bool, short: bool) -> Kernel:
             parity = code.integer("and", row.i, 1)
             lines = [
                 code.integer("mul", code.integer("add", row.i, dy), own.stride)
-                for dy in range(-2, 3)
+                for dy in range(-reach, reach + 1)
             ]
             lines2 = [
                 code.integer("mul", code.integer("add", half, dy), above.stride)
@@ -405,15 +409,15 @@ def _gather_kernel(packed: bool, with_coarse: bool, short: bool) -> Kernel:
                     for k in range(taps):
                         e = [code.load(weight(k, part)) for part in range(parts)]
                         for sum_, (offset, offset2) in zip(sums, planes, strict=True):
-                            if k < OWN:
-                                dy, dx = divmod(k, 5)
+                            if k < own_taps:
+                                dy, dx = divmod(k, side)
                                 at = _sum(code, offset, lines[dy], x.i)
                                 values = [
-                                    code.load(code.at(own.base, at, LANES * part + dx - 2))
+                                    code.load(code.at(own.base, at, LANES * part + dx - reach))
                                     for part in range(parts)
                                 ]
                             else:
-                                dy, dx = divmod(k - OWN, 3)
+                                dy, dx = divmod(k - own_taps, 3)
                                 at = _sum(code, offset2, lines2[dy], x_half)
                                 both = code.load(code.at(above.base, at, dx - 1))
                                 values = [
@@ -442,7 +446,7 @@ def _gather_kernel(packed: bool, with_coarse: bool, short: bool) -> Kernel:
                             mean = code.op("fmul", sums[part], scale[part])
                             code.store(mean, code.at(out.base, place, LANES * part))
 
-    name = f"pyramid_gather_{int(packed)}{int(with_coarse)}{int(short)}"
+    name = f"pyramid_gather_{int(packed)}{int(with_coarse)}{int(short)}{side}"
     return Kernel(name, write, effort=0)
 
 
@@ -480,17 +484,20 @@ def _averaged(
     m: FloatImage,
     coarse: FloatImage | None,
     coarse_mask: FloatImage | None,
+    side: int = 5,
 ) -> FloatImage:
     """Equations (2) and (3) of one level: ``z`` ``(K, H, W)``, ``c`` ``(C, H, W)``, masks."""
-    taps = OWN if coarse is None else OWN + COARSE
+    own = side * side
+    taps = own if coarse is None else own + COARSE
     e = np.exp(z[:taps] - z[:taps].max(axis=0))
     total, sums = np.zeros_like(m), np.zeros_like(c)
     for k in range(taps):
-        if k < OWN:
-            value, there = _moved(c, *divmod(k, 5), 2), _moved(m[None], *divmod(k, 5), 2)
+        if k < own:
+            y, x = divmod(k, side)
+            value, there = _moved(c, y, x, side // 2), _moved(m[None], y, x, side // 2)
         else:
             assert coarse is not None and coarse_mask is not None
-            y, x = divmod(k - OWN, 3)
+            y, x = divmod(k - own, 3)
             value = _doubled(_moved(coarse, y, x, 1))
             there = _doubled(_moved(coarse_mask[None], y, x, 1))
         total += e[k] * there[0]

@@ -20,7 +20,7 @@ from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
 from lambent.kernels.pyramid import TINY
 from lambent.learn.export import float_weights
-from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells
+from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells, near
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
 
 
@@ -75,8 +75,8 @@ def filtered(
         if divisor is None:
             out = masked(levels, F.pad(c, room), mask)
         else:
-            d = _within(of_albedo, F.pad(_planes(divisor, device), room), mask, None, None, True)
-            d = torch.where(mask > 0, d, 1.0)
+            d = near(of_albedo, torch.cat([F.pad(_planes(divisor, device), room), mask], 1))
+            d = torch.where(mask > 0, d[:, :-1] / (d[:, -1:] + TINY), 1.0)
             n, c = c.shape[1], F.pad(c, room)
             both = masked(levels, torch.cat([c / d, c], 1), mask)
             out = gate * d * both[:, :n] + (1 - gate) * both[:, n:]
@@ -100,25 +100,12 @@ def masked(logits: Sequence[Tensor], image: Tensor, mask: Tensor) -> Tensor:
         masks.append(F.max_pool2d(masks[-1], 2))
     out: Tensor | None = None
     for number in range(len(logits) - 1, -1, -1):
-        below = None if out is None else masks[number + 1]
-        out = _within(logits[number], images[number], masks[number], out, below, number == 0)
+        own = torch.cat([images[number], masks[number]], 1)
+        above = None if out is None else torch.cat([out, masks[number + 1]], 1)
+        both = average(logits[number], own, above, packed=number == 0)
+        out = both[:, :-1] / (both[:, -1:] + TINY) * masks[number]
     assert out is not None
     return out
-
-
-def _within(
-    logits: Tensor,
-    image: Tensor,
-    mask: Tensor,
-    coarse: Tensor | None,
-    coarse_mask: Tensor | None,
-    packed: bool,
-) -> Tensor:
-    """`kernel_pyramid.average` over the pixels that are there."""
-    own = torch.cat([image, mask], 1)
-    above = None if coarse is None or coarse_mask is None else torch.cat([coarse, coarse_mask], 1)
-    both = average(logits, own, above, packed)
-    return both[:, :-1] / (both[:, -1:] + TINY) * mask
 
 
 def _folded(image: Tensor) -> Tensor:

@@ -37,6 +37,9 @@ from lambent.learn.networks.kernels import NEVER, gather, outside
 OWN, COARSE = 25, 9
 #: Logits of a level that has a coarser one: own taps, coarse taps, the weight for going down.
 LOGITS = OWN + COARSE + 1
+#: Taps of `near` (3x3), and where they are in a window of 5x5.
+NEAR = 9
+_WITHIN = [5 * y + x for y in (1, 2, 3) for x in (1, 2, 3)]
 #: Levels of the pyramid.
 LEVELS = 5
 
@@ -55,6 +58,17 @@ def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
         out = average(logits[level], images[level], out, packed=level == 0)
     assert out is not None
     return out
+
+
+def near(logits: Tensor, image: Tensor) -> Tensor:
+    """``image`` averaged in windows of 3x3: ``logits`` ``(B, 36, H/2, W/2)``, packed.
+
+    As windows of 5x5 whose other weights are 0: they have kernels, and this is little of a step.
+    """
+    b, _, h, w = logits.shape
+    wide = logits.new_full((b, OWN, 4, h, w), NEVER)
+    wide[:, _WITHIN] = logits.reshape(b, NEAR, 4, h, w)
+    return average(wide.flatten(1, 2), image, None, packed=True)
 
 
 def average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:

@@ -20,7 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lambent.denoise.inputs import CHANNELS
-from lambent.learn.networks.kernel_pyramid import LOGITS, OWN, apply, average
+from lambent.learn.networks.kernel_pyramid import LOGITS, NEAR, OWN, apply, near
 
 #: Widths of the four levels, by size.
 WIDTHS = {
@@ -30,7 +30,7 @@ WIDTHS = {
 }
 #: The image's sides must be multiples of this.
 MULTIPLE = 32
-#: Logit of a pixel's own albedo in a fresh network: the albedo nearly as it is, 24 others at 0.
+#: Logit of a pixel's own albedo in a fresh network: the albedo nearly as it is, 8 others at 0.
 AS_IT_IS = 5.0
 
 
@@ -39,7 +39,7 @@ class LambentNet(nn.Module):
 
     Returns the logits of five levels: ``(B, 4·36, H/2, W/2)`` for the full size, the gate's last,
     then ``(B, 35, …)`` at half, quarter and eighth, ``(B, 25, …)`` at a sixteenth; and those of the
-    albedo's kernels, ``(B, 4·25, H/2, W/2)``.
+    albedo's kernels, ``(B, 4·9, H/2, W/2)``.
     """
 
     def __init__(self, size: str = "default") -> None:
@@ -66,7 +66,7 @@ class LambentNet(nn.Module):
         self.head2 = nn.Conv2d(b, LOGITS, 1)
         self.head3 = nn.Conv2d(c, LOGITS, 1)
         self.head4 = nn.Conv2d(d, OWN, 1)
-        self.albedo = nn.Conv2d(a, 4 * OWN, 1)
+        self.albedo = nn.Conv2d(a, 4 * NEAR, 1)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -74,7 +74,7 @@ class LambentNet(nn.Module):
         for head in (self.head0, self.head1, self.head2, self.head3, self.head4, self.albedo):
             nn.init.normal_(head.weight, std=0.02)  # begin with nearly equal weights
         with torch.no_grad():
-            own = 4 * (OWN // 2)
+            own = 4 * (NEAR // 2)
             self.albedo.bias[own : own + 4] = AS_IT_IS  # type: ignore[index]
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
@@ -103,7 +103,7 @@ class LambentNet(nn.Module):
 def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Tensor:
     """Filter ``colour`` ``(B, 3, H, W)`` with the network's outputs.
 
-    With F the filter of the pyramid, d the divisor, a(p, q) the albedo's kernels, 5x5 softmax
+    With F the filter of the pyramid, d the divisor, a(p, q) the albedo's kernels, 3x3 softmax
     weights, and g the gate in (0, 1):
 
         d̂(p) = Σ a(p, q) d(q)
@@ -114,7 +114,7 @@ def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Te
     where it is fog's or out of focus: what it multiplies would have all of that noise again.
     """
     *levels, of_albedo = outputs
-    d = average(of_albedo, divisor, None, packed=True)
+    d = near(of_albedo, divisor)
     both = apply(levels, torch.cat([colour / d, colour], 1))
     gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
     return gate * d * both[:, :3] + (1 - gate) * both[:, 3:]
