@@ -155,6 +155,47 @@ def test_what_is_held_out_is_not_told(shots):
     assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
 
 
+class Fixed(torch.nn.Module):
+    """A network with all weight on the pixel itself, but for a share of everything around."""
+
+    def __init__(self, blur):
+        super().__init__()
+        self.blur = blur
+
+    def forward(self, packed):
+        b, _, h, w = packed.shape
+        sizes = [(144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (36, 1)]
+        levels = [torch.zeros(b, n, h // part, w // part) for n, part in sizes]
+        levels[0][:, 48:52] = 20 - self.blur
+        levels[5][:, 16:20] = 20
+        return tuple(levels)
+
+
+def test_held_out_tiles_are_told_once_the_model_is_better_on_them(shots):
+    (pair,) = pairs_of(shots[0])
+    device = torch.device("cpu")
+    noisy, smooth = Fixed(0), Fixed(20)
+    for models, after, told in (
+        ((noisy, smooth), 0.0, 2),  # better
+        ((smooth, noisy), 0.0, None),  # worse
+        ((noisy, smooth, noisy), 0.0, 2),  # later scores are of what has been learned from
+        ((noisy, smooth), 1e9, None),  # too early
+    ):
+        task = FinetuneTask([pair], "fast", tell_after=after)
+        scores = [task.score(model, device)[0]["score"] for model in models]
+        assert (scores[0] > scores[1]) == (models[0] is noisy)
+        assert task.told_at == told
+        hidden = [np.isnan(task.row(0, n).target).any() for n in range(12)]
+        assert any(hidden) == (told is None)
+
+
+def test_noisy_targets_stay_held_out(tmp_path):
+    task = FinetuneTask(halves(tmp_path, 1), "fast", tell_after=0.0)
+    for model in (Fixed(0), Fixed(20)):
+        task.score(model, torch.device("cpu"))
+    assert task.told_at is None
+
+
 def test_a_frame_with_nothing_to_compare_with_is_named(tmp_path):
     path = tmp_path / "alone.exr"
     write(path, made.frame(np.random.default_rng(0), 4, 160))

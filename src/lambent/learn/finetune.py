@@ -7,13 +7,16 @@ have two half buffers: the kernels predicted from one half are applied to it and
 other half, whose noise is independent (Lehtinen et al. 2018).
 
 With little data only the first layers are free (Vogels et al. 2018, sec. 5.5: what differs from
-renderer to renderer is what the input looks like). Some tiles of every frame are held out; the
-result is the best model on these, the one that it began with included (of equals, the last).
+renderer to renderer is what the input looks like). Some tiles of every frame are held out. Where,
+after a part of the time, the model is better on these, they are learned from as well until the end:
+of eight frames, all the lamps of one may lie in them. Else the result is the best model on them, the
+one that it began with included (of equals, the last).
 """
 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,6 +54,8 @@ HELD_OUT = 6
 #: Side of the squares that halves' errors are compared in; by how many standard errors it has to be
 #: less, of many checks the best.
 BLOCK, SURE = 32, 2.0
+#: After this share of the time it is decided whether held-out tiles are learned from.
+DECIDED = 0.4
 #: With fewer pixels than this only `FIRST` is free (Vogels 2018); with more, all layers do better.
 LITTLE = 1 << 18
 FIRST = ("stem", "enc0")
@@ -93,7 +98,8 @@ def finetune(
 ) -> dict[str, float]:
     """Tune the model ``start`` to the frames in ``paths`` and write it to ``output``.
 
-    Returns the validation error before and after, steps and seconds. Raises `OptionError` for too
+    Returns the error on held-out tiles before and after (when they were last held out), steps and
+    seconds. Raises `OptionError` for too
     little data, `LayerError` for a frame with neither reference nor half buffers, and what reading
     frames raises.
     """
@@ -101,7 +107,7 @@ def finetune(
     card = dict(read_model(find_model(start), "signals").card)
     weights = float_weights(start, steps=True)
     size = str(card.get("recipe", {}).get("size", "default"))
-    task = FinetuneTask(pairs, size, int8="steps.input" in weights)
+    task = FinetuneTask(pairs, size, int8="steps.input" in weights, tell_after=DECIDED * seconds)
     recipe = TrainRecipe(
         name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
         decay=0.99, check_every=40, steps=1 << 20, last_rate=0.05,
@@ -113,8 +119,9 @@ def finetune(
         )  # fmt: skip
         checks = [line for line in run.lines() if "check" in line]
         scores = [line["check"]["score"] for line in checks]
+        scores = scores[: task.told_at]  # later ones are of tiles that have been learned from
         before, after, best = scores[0], scores[-1], min(scores)
-        last = after < before and after <= best * (1 + ALIKE)
+        last = alike(scores)
         model = task.network()
         model.load_state_dict(run.last_weights() if last else run.weights())
     after = after if last else best
@@ -126,6 +133,11 @@ def finetune(
     }
     export(model, output, card, None, overwrite, half=True)
     return {"before": before, "after": after, "steps": float(steps), "seconds": float(seconds)}
+
+
+def alike(scores: Sequence[float]) -> bool:
+    """Whether the last score is better than the first, and as good as the best."""
+    return scores[-1] < scores[0] and scores[-1] <= min(scores) * (1 + ALIKE)
 
 
 def pairs_of(path: Path) -> list[Pair]:
@@ -159,9 +171,19 @@ def pairs_of(path: Path) -> list[Pair]:
 
 
 class FinetuneTask:
-    """Crops of a few frames: a `learn.task.Task`."""
+    """Crops of a few frames: a `learn.task.Task`.
 
-    def __init__(self, pairs: Sequence[Pair], size: str, int8: bool = False) -> None:
+    ``tell_after``: seconds after which held-out tiles may be learned from (`alike` scores so far);
+    not of noisy targets. ``told_at``: how many scores there were by then; None: it did not happen.
+    """
+
+    def __init__(
+        self,
+        pairs: Sequence[Pair],
+        size: str,
+        int8: bool = False,
+        tell_after: float = float("inf"),
+    ) -> None:
         self.pairs = [p for p in pairs if min(p.target.shape[1:]) >= CROP]
         if not self.pairs:
             raise OptionError(
@@ -184,6 +206,9 @@ class FinetuneTask:
         #: Some targets are halves.
         self.noisy = any(p.noisy_target for p in self.pairs)
         self._first: list[Tensor] = []
+        self._tell_at = time.monotonic() + tell_after
+        self._scores: list[float] = []
+        self.told_at: int | None = None
 
     def network(self) -> nn.Module:
         """The network; with little data or noisy targets only its first layers learn."""
@@ -204,7 +229,9 @@ class FinetuneTask:
         pair = self.pairs[which]
         height, width = pair.target.shape[1:]
         y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
-        cut = turned(_cut(replace(pair, target=self._told[which]), y, x), rng)
+        if self.told_at is None:
+            pair = replace(pair, target=self._told[which])
+        cut = turned(_cut(pair, y, x), rng)
         example = recoloured(cut, rng)
         before = float(np.nansum(cut.target))
         gain = float(np.nansum(example.target)) / before if before > 0 else 1.0
@@ -256,6 +283,10 @@ class FinetuneTask:
         if unsure:  # what may be better by chance alone is not
             changes = torch.cat(unsure)
             score += SURE * float(changes.std() / len(changes) ** 0.5)
+        if self.told_at is None:
+            self._scores.append(score)
+            if time.monotonic() > self._tell_at and not self.noisy and alike(self._scores):
+                self.told_at = len(self._scores)
         return {"score": score}, {}
 
 
@@ -323,7 +354,5 @@ def _timed(progress: Progress | None, seconds: float) -> Any:
     """Progress by the clock: the number of steps is not known."""
     if progress is None:
         return None
-    import time
-
     began = time.monotonic()
     return lambda _done, _total, text: progress(time.monotonic() - began, seconds, text)
