@@ -496,7 +496,8 @@ def _averaged(
             y, x = divmod(k, side)
             value, there = _moved(c, y, x, side // 2), _moved(m[None], y, x, side // 2)
         else:
-            assert coarse is not None and coarse_mask is not None
+            assert coarse is not None
+            assert coarse_mask is not None
             y, x = divmod(k - own, 3)
             value = _doubled(_moved(coarse, y, x, 1))
             there = _doubled(_moved(coarse_mask[None], y, x, 1))

@@ -7,10 +7,10 @@ have two half buffers: the kernels predicted from one half are applied to it and
 other half, whose noise is independent (Lehtinen et al. 2018).
 
 With little data only the first layers are free (Vogels et al. 2018, sec. 5.5: what differs from
-renderer to renderer is what the input looks like). Some tiles of every frame are held out. Where,
-after a part of the time, the model is better on these, they are learned from as well until the end:
-of eight frames, all the lamps of one may lie in them. Else the result is the best model on them, the
-one that it began with included (of equals, the last).
+renderer to renderer is what the input looks like). Some tiles of every frame are held out. If the
+model is better on these after a part of the time, they are learned from as well until the end: of
+eight frames, the brightest lamps may lie there. Else the result is the best model on them, the one
+that it began with included (of equals, the last).
 """
 
 from __future__ import annotations
