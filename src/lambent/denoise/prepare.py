@@ -5,7 +5,7 @@ Dr.Jit kernel: a thread takes four pixels, reads every layer once and writes eve
 frame is continued to multiples of 32 by its mirror image: the last row again and again would be
 stripes, which a network takes for texture as far as it can see. `split` and `merged` are the two
 ends of the filter: colour and colour/d as planes, and both put together by the gate; `divisors`
-makes d, of the albedo.
+is what d is averaged from.
 """
 
 from __future__ import annotations
