@@ -6,7 +6,7 @@ import pytest
 from lambent.denoise import inputs, prepare
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import Workspace, logits_memory, padded
+from lambent.kernels.pyramid import Workspace, average_planes, logits_memory, padded
 
 
 def frame(height=40, width=52, seed=0, **without):
@@ -119,37 +119,20 @@ def test_what_is_not_finite_counts_as_nothing():
     assert np.isfinite(packed).all()
 
 
-def divisor_logits(given, detail=0.0):
-    """The albedo as it is, times e^detail (before it is held to ±`DETAIL`)."""
-    half = [padded(n) // 2 for n in (given.height, given.width)]
-    logits = logits_memory((40, *half))
-    logits[...] = np.where(np.arange(10) == 4, 0, -100).repeat(4)[:, None, None]
-    logits[36:] = detail
-    return logits
-
-
-@pytest.mark.parametrize("guides", [True, False])
-def test_the_divisor_is_the_albedo_times_the_detail(guides):
-    made = frame()
-    if not guides:
-        made = Frame.from_arrays(colour=made.colour)
-    given = prepare.Given.of(made)
-    detail = np.random.default_rng(1).normal(size=(4, 32, 32)).astype(np.float32) * 3
-    found = prepare.divisors(given, divisor_logits(given, detail), "auto")
-    folded = detail.reshape(2, 2, 32, 32).transpose(2, 0, 3, 1).reshape(64, 64)
-    m = np.exp(inputs.DETAIL * np.tanh(folded / inputs.DETAIL))[: made.height, : made.width, None]
-    expected = given.divisor() * m
-    inside = found.planes[:, : made.height, : made.width].transpose(1, 2, 0)
-    np.testing.assert_allclose(inside, expected, rtol=1e-4)
-    assert guides == (np.ptp(given.divisor()) > 0)
-
-
 def test_split_and_merged_are_inverse_for_any_gate():
     made = frame()
     given = prepare.Given.of(made)
     alpha = made[Role.ROUGHNESS]
     space = Workspace()
-    d = prepare.divisors(given, divisor_logits(given), "auto", space)
+    d = prepare.divisors(given, "auto", space)
+    assert d is not None
+    as_it_is = logits_memory((36, d.height // 2, d.width // 2))
+    as_it_is[...] = np.where(np.arange(9) == 4, 0, -100).repeat(4)[:, None, None]
+    d = average_planes(as_it_is, d, "auto", space)
+    expected = given.divisor()
+    assert expected is not None
+    inside = d.planes[:, : made.height, : made.width].transpose(1, 2, 0)
+    np.testing.assert_allclose(inside, expected, rtol=1e-5)
     level = prepare.split(given, [made.colour, alpha], [True, False], d, "auto", space)
     gate = np.random.default_rng(0).normal(size=(4, 32, 32)).astype(np.float32)
     colour, same = prepare.merged(given, level, gate, [3, 1], [True, False], d, "auto")

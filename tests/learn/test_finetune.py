@@ -164,7 +164,7 @@ class Fixed(torch.nn.Module):
 
     def forward(self, packed):
         b, _, h, w = packed.shape
-        sizes = [(144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (40, 1)]
+        sizes = [(144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (36, 1)]
         levels = [torch.zeros(b, n, h // part, w // part) for n, part in sizes]
         levels[0][:, 48:52] = 20 - self.blur
         levels[5][:, 16:20] = 20

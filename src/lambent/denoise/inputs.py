@@ -46,12 +46,10 @@ from lambent.frame.misses import missing_depth
 from lambent.frame.role import Role
 
 #: Counts up when a network trained for one description could not read the other, or says what the
-#: filter of the other does not know (2: the divisor).
+#: filter of the other does not know (2: the albedo's kernels).
 VERSION = 2
 #: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
 OFFSET = 0.05
-#: The network may change the divisor by a factor of e^±DETAIL.
-DETAIL = 2.0
 #: t(v) = log(1 + SLOPE v) / RANGE: 0.18 becomes 0.22, 1 becomes 0.47, 1000 becomes 1.6.
 SLOPE, RANGE = 16.0, 6.0
 #: A depth e^4 times the median and more is all the same.

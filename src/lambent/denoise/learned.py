@@ -6,9 +6,9 @@ weights of averages, and the same ones filter the beauty, all lighting layers an
 
     out = g · d · F(layer / d) + (1 - g) · F(layer)
 
-with F the pyramid of kernels, d the albedo, cleaned by kernels of its own, times a predicted detail
-of the shading, g a gate; alpha is F(alpha). Each is linear in the layer, so layers that sum to the
-beauty still do, grey stays grey, and coverage stays in [0, 1].
+with F the pyramid of kernels, d the albedo, cleaned by kernels of its own, g a gate; alpha is
+F(alpha). Each is linear in the layer, so layers that sum to the beauty still do, grey stays grey,
+and coverage stays in [0, 1].
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from lambent.kernels.pyramid import (
     COARSE,
     OWN,
     as_floats,
+    average_planes,
     compile_all,
     filter_planes,
     padded,
@@ -109,15 +110,18 @@ class Lambent(Denoiser):
         """The weights ``(H, W)`` of pixel (x, y), all scales put together, with the mean albedo."""
         whole = self._whole or prepare.Whole.of(frame)
         given = prepare.Given.of(frame)
+        d = prepare.divisors(given, "cpu")
         with self._network() as network:
             packed = prepare.packed_inputs(given, whole, self.preference, "cpu", step=network.step)
-            *levels, of_divisor = network(packed)
-            d = prepare.divisors(given, of_divisor, "cpu")
+            *levels, of_albedo = network(packed)
+            d = None if d is None else average_planes(of_albedo, d, "cpu")
             levels = [level.copy() for level in levels]
         height, width = frame.height, frame.width
         mask = np.zeros((padded(height), padded(width)), np.float32)
         mask[:height, :width] = 1
         found = pyramid_weights(levels, mask, x, y)[:height, :width]
+        if d is None:
+            return found
         own = d.planes[:, :height, :width].mean(axis=0)
         channel = _GATE + 2 * (y % 2) + x % 2
         gate = 1 / (1 + np.exp(-float(as_floats(levels[0][channel])[y // 2, x // 2])))
@@ -178,8 +182,9 @@ class Lambent(Denoiser):
                 given, whole, self.preference, "cpu", memory, same, network.step
             )
             network.holds(given.arrays)
-            *levels, of_divisor = network(packed)
-            d = prepare.divisors(given, of_divisor, "cpu", space)
+            *levels, of_albedo = network(packed)
+            d = prepare.divisors(given, "cpu", space) if any(divided) else None
+            d = None if d is None else average_planes(of_albedo, d, "cpu", space)
             for first in range(0, len(images), _AT_ONCE):
                 some = list(images[first : first + _AT_ONCE])
                 by = list(divided[first : first + _AT_ONCE])
@@ -208,7 +213,7 @@ class Lambent(Denoiser):
         packed = prepare.packed_inputs(given, whole, self.preference, "auto")
         d = given.divisor()
         by = [
-            None if not own else d if image.shape[2] == 3
+            None if d is None or not own else d[:, :, : image.shape[2]] if image.shape[2] == 3
             else np.repeat(d.mean(axis=2, keepdims=True), image.shape[2], axis=2)
             for image, own in zip(images, divided, strict=True)
         ]  # fmt: skip

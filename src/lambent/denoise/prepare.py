@@ -5,7 +5,7 @@ Dr.Jit kernel: a thread takes four pixels, reads every layer once and writes eve
 frame is continued to multiples of 32 by its mirror image: the last row again and again would be
 stripes, which a network takes for texture as far as it can see. `split` and `merged` are the two
 ends of the filter: colour and colour/d as planes, and both put together by the gate; `divisors`
-is d.
+is what d is averaged from.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from lambent.denoise.inputs import (
     CHANNELS,
     CONSTANTS,
     DEPTH_RANGE,
-    DETAIL,
     LAYERS,
     OFFSET,
     PLANES,
@@ -40,16 +39,7 @@ from lambent.frame.misses import FAR
 from lambent.frame.role import INFO, Role
 from lambent.kernels.arrays import aligned, backend
 from lambent.kernels.oidn import exposure
-from lambent.kernels.pyramid import (
-    NEAR,
-    Level,
-    Logits,
-    Workspace,
-    as_floats,
-    average_planes,
-    level_of,
-    padded,
-)
+from lambent.kernels.pyramid import Level, Logits, Workspace, as_floats, level_of, padded
 
 
 @dataclass(frozen=True)
@@ -103,10 +93,10 @@ class Given:
         """Whether there is that layer."""
         return name in self.arrays
 
-    def divisor(self) -> FloatImage:
-        """The albedo's part of what colours are divided by ``(H, W, 3)``; 1 without an albedo."""
+    def divisor(self) -> FloatImage | None:
+        """What colours are divided by ``(H, W, 3)``; None without an albedo."""
         if not self.has("albedo"):
-            return np.ones((self.height, self.width, 3), np.float32)
+            return None
         array, channels = self.arrays["albedo"]
         albedo = array.reshape(self.height, self.width, channels)[:, :, :3]
         return np.asarray(divisor(np, np.nan_to_num(albedo, nan=0, posinf=0, neginf=0)), np.float32)
@@ -252,34 +242,30 @@ def _depth(dr: Any, value: Any) -> tuple[Any, Any]:
 # --------------------------------------------------------------- the filter's ends
 
 
-def divisors(
-    given: Given, logits: Logits, device: str, workspace: Workspace | None = None
-) -> Level:
-    """d in three planes: m(p) Σ k(p, q) a(q), of the albedo plus `OFFSET` (1 without an albedo).
+def divisors(given: Given, device: str, workspace: Workspace | None = None) -> Level | None:
+    """The albedo plus `OFFSET` as three planes, to be averaged; None without an albedo.
 
-    ``logits`` ``(40, H/2, W/2)``, packed: those of the weights k, and ln m before it is held to
-    ±`DETAIL`. Made where `split` writes, so that is for later; the result lives as long as that of
-    `kernels.pyramid.average_planes`.
+    They are where `split` writes, so that is for after they have been averaged.
     """
+    if not given.has("albedo"):
+        return None
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
 
     level = level_of(3, given.height, given.width, workspace)
+    array, channels = given.arrays["albedo"]
+    flat = module.Float(array)
     index = dr.arange(module.UInt32, given.height * given.width)
-    if given.has("albedo"):
-        array, channels = given.arrays["albedo"]
-        flat = module.Float(array)
-        read = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
-        d = [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in read]
-    else:
-        d = [module.Float(1)] * 3
-    _write(dr, module, given, level, index, d)
-    level = average_planes(logits, level, device, workspace)
-    z = _packed(dr, module, given, logits[4 * NEAR :], index)
-    e = dr.exp(2 * dr.clip(z * (1 / DETAIL), -10, 10))
-    m = dr.exp(DETAIL * (e - 1) / (e + 1))
-    planes = _read(dr, module, level, _places(dr, module, given, level, index))
-    _write(dr, module, given, level, index, [m * plane for plane in planes])
+    values = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
+    d = [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in values]
+    target = module.Float(level.memory.reshape(-1))
+    place = _places(dr, module, given, level, index)
+    _, rows, stride = level.memory.shape
+    for c, value in enumerate(d):
+        dr.scatter(target, value, place + dr.opaque(module.UInt32, rows * stride) * c)
+    dr.eval(target)
+    dr.sync_thread()
+    _stored(level, target)
     return level
 
 
@@ -287,21 +273,22 @@ def split(
     given: Given,
     images: Sequence[FloatImage],
     divided: Sequence[bool],
-    d: Level,
+    d: Level | None,
     device: str,
     workspace: Workspace | None = None,
 ) -> Level:
     """Images ``(H, W, 1 or 3)`` as planes for the filter.
 
     Where ``divided``, an image gives its planes divided by those of ``d``, then its own; else only
-    its own. What is not finite counts as 0.
+    its own. Without ``d`` nothing is divided. What is not finite counts as 0.
     """
     module = backend(device)
     import drjit as dr  # after `backend`, which says where LLVM is
 
     height, width = given.height, given.width
     counts = [
-        image.shape[2] * (2 if own else 1) for image, own in zip(images, divided, strict=True)
+        image.shape[2] * (2 if own and d is not None else 1)
+        for image, own in zip(images, divided, strict=True)
     ]
     level = level_of(sum(counts), height, width, workspace)
     _, rows, stride = level.memory.shape
@@ -309,14 +296,14 @@ def split(
     index = dr.arange(module.UInt32, height * width)
     place = _places(dr, module, given, level, index)
     step = dr.opaque(module.UInt32, rows * stride)
-    by = _read(dr, module, d, place)
+    by = _read(dr, module, d, place) if d is not None else None
     plane = 0
     for image, wanted in zip(images, divided, strict=True):
         channels = image.shape[2]
         flat = module.Float(np.ascontiguousarray(image, np.float32).reshape(-1))
         values = [dr.gather(module.Float, flat, index * channels + c) for c in range(channels)]
         values = [dr.select(dr.isfinite(v), v, 0) for v in values]  # or it would spread
-        if wanted:
+        if wanted and by is not None:
             for c, value in enumerate(values):
                 own = by[c] if channels == 3 else (by[0] + by[1] + by[2]) / 3
                 dr.scatter(target, value / own, place + step * plane)
@@ -336,7 +323,7 @@ def merged(
     gate: Logits,
     channels: Sequence[int],
     divided: Sequence[bool],
-    d: Level,
+    d: Level | None,
     device: str,
 ) -> list[FloatImage]:
     """The images out of the filtered planes: g · d · F(c / d) + (1 - g) · F(c).
@@ -350,10 +337,19 @@ def merged(
     _, rows, stride = level.memory.shape
     source = module.Float(level.memory.reshape(-1))
     index = dr.arange(module.UInt32, height * width)
+    columns = dr.opaque(module.UInt32, width)
+    row, column = index // columns, index % columns
     place = _places(dr, module, given, level, index)
     step = dr.opaque(module.UInt32, rows * stride)
-    by = _read(dr, module, d, place)
-    g = 1 / (1 + dr.exp(-_packed(dr, module, given, gate, index)))
+    by, g = None, None
+    if d is not None and any(divided):
+        by = _read(dr, module, d, place)
+        cells = dr.opaque(module.UInt32, gate.shape[1] * gate.shape[2])
+        at = ((row & 1) * 2 + (column & 1)) * cells
+        at += (row >> 1) * dr.opaque(module.UInt32, gate.shape[2]) + (column >> 1)
+        flat = module.Float(as_floats(gate).reshape(-1))
+        logit = dr.gather(module.Float, flat, at)
+        g = 1 / (1 + dr.exp(-logit))
     plane = 0
     results, outs = [], []
     for count, wanted in zip(channels, divided, strict=True):
@@ -361,10 +357,10 @@ def merged(
         out = module.Float(memory)
         values = [
             dr.gather(module.Float, source, place + step * (plane + c))
-            for c in range(count * (2 if wanted else 1))
+            for c in range(count * (2 if wanted and by is not None else 1))
         ]
         plane += len(values)
-        if wanted:
+        if wanted and by is not None and g is not None:
             for c in range(count):
                 own = by[c] if count == 3 else (by[0] + by[1] + by[2]) / 3
                 value = dr.fma(g, own * values[c] - values[count + c], values[count + c])
@@ -393,30 +389,6 @@ def _read(dr: Any, module: Any, level: Level, place: Any) -> list[Any]:
     source = module.Float(level.memory.reshape(-1))
     step = dr.opaque(module.UInt32, rows * stride)
     return [dr.gather(module.Float, source, place + step * c) for c in range(3)]
-
-
-def _write(
-    dr: Any, module: Any, given: Given, level: Level, index: Any, values: Sequence[Any]
-) -> None:
-    """Write a level's planes where the frame's pixels are."""
-    _, rows, stride = level.memory.shape
-    target = module.Float(level.memory.reshape(-1))
-    place = _places(dr, module, given, level, index)
-    for c, value in enumerate(values):
-        dr.scatter(target, value, place + dr.opaque(module.UInt32, rows * stride) * c)
-    dr.eval(target)
-    dr.sync_thread()
-    _stored(level, target)
-
-
-def _packed(dr: Any, module: Any, given: Given, logits: Logits, index: Any) -> Any:
-    """One packed logit ``(4, H/2, W/2)`` at every pixel of the frame."""
-    columns = dr.opaque(module.UInt32, given.width)
-    row, column = index // columns, index % columns
-    cells = dr.opaque(module.UInt32, logits.shape[1] * logits.shape[2])
-    at = ((row & 1) * 2 + (column & 1)) * cells
-    at += (row >> 1) * dr.opaque(module.UInt32, logits.shape[2]) + (column >> 1)
-    return dr.gather(module.Float, module.Float(as_floats(logits).reshape(-1)), at)
 
 
 def _stored(level: Level, target: Any) -> None:

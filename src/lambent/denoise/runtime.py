@@ -30,8 +30,8 @@ from lambent.kernels.pyramid import Logits, Workspace, logits_memory
 from lambent.startup import cache_folder
 
 #: The channels that the network gives (`learn.networks.lambent`), and at which fraction of the
-#: packed size: of the pyramid's levels, and of the divisor.
-OUTPUTS = ((144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (40, 1))
+#: packed size: of the pyramid's levels, and of the albedo's kernels.
+OUTPUTS = ((144, 1), (35, 1), (35, 2), (35, 4), (25, 8), (36, 1))
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class PyramidNetwork(Network):
     def __call__(self, packed: NDArray[Any]) -> list[Logits]:
         """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
 
-        The last are those of the divisor ``(40, H/2, W/2)``. ``packed`` is int8 or float32, as
+        The last are those of the albedo ``(36, H/2, W/2)``. ``packed`` is int8 or float32, as
         `step` says.
         They are bfloat16 (`kernels.pyramid`): the largest tensors there are, and half as large.
 

@@ -121,7 +121,7 @@ def turned_outputs(count: int) -> np.ndarray:
     fine = count >= _FINE * NEAR
     logits = count // _FINE if fine else count
     taps = np.arange(logits)
-    own = OWN if logits >= OWN else NEAR  # the divisor has windows of 3x3
+    own = min(logits, OWN)  # all taps of the albedo's and of the coarsest level's
     taps[:own] = taps[:own][::-1]
     if logits > OWN:
         taps[OWN : OWN + COARSE] = taps[OWN : OWN + COARSE][::-1]

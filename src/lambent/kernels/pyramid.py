@@ -167,8 +167,8 @@ def average_planes(
 ) -> Level:
     """The planes of ``level`` averaged in windows of 3x3 alone, without a pyramid.
 
-    ``logits`` ``(36, H/2, W/2)`` and more, which is ignored, in the order of the finest level's of
-    `filter_planes`; the result lives as long as that function's.
+    ``logits`` ``(36, H/2, W/2)`` in the order of the finest level's of `filter_planes`; the result
+    lives as long as that function's.
     """
     space = workspace or Workspace()
     if not available(device):

@@ -21,7 +21,7 @@ from lambent.frame.layer import FloatImage
 from lambent.kernels.pyramid import TINY
 from lambent.learn.export import float_weights
 from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells, near
-from lambent.learn.networks.lambent import WIDTHS, LambentNet, detail
+from lambent.learn.networks.lambent import WIDTHS, LambentNet
 
 
 @functools.lru_cache(maxsize=4)
@@ -67,20 +67,18 @@ def filtered(
     height, width = images[0].shape[:2]
     room = (0, 2 * packed.shape[3] - width, 0, 2 * packed.shape[2] - height)
     mask = F.pad(torch.ones(1, 1, height, width, device=device), room)
-    *levels, of_divisor = logits
-    m = detail(of_divisor)
+    *levels, of_albedo = logits
     gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
     found = []
     for image, divisor in zip(images, divisors, strict=True):
         c = torch.nan_to_num(_planes(image, device), 0, 0, 0)
-        c = F.pad(c, room)
         if divisor is None:
-            out = masked(levels, c, mask)
+            out = masked(levels, F.pad(c, room), mask)
         else:
-            d = near(of_divisor, torch.cat([F.pad(_planes(divisor, device), room), mask], 1))
-            d = torch.where(mask > 0, m * d[:, :-1] / (d[:, -1:] + TINY), 1.0)
+            d = near(of_albedo, torch.cat([F.pad(_planes(divisor, device), room), mask], 1))
+            d = torch.where(mask > 0, d[:, :-1] / (d[:, -1:] + TINY), 1.0)
+            n, c = c.shape[1], F.pad(c, room)
             both = masked(levels, torch.cat([c / d, c], 1), mask)
-            n = c.shape[1]
             out = gate * d * both[:, :n] + (1 - gate) * both[:, n:]
         out = out[0, :, :height, :width].permute(1, 2, 0)
         found.append(np.ascontiguousarray(out.cpu().numpy()))

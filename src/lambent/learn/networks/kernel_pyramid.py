@@ -61,13 +61,13 @@ def apply(logits: Sequence[Tensor], image: Tensor) -> Tensor:
 
 
 def near(logits: Tensor, image: Tensor) -> Tensor:
-    """``image`` averaged in windows of 3x3: ``logits`` ``(B, 36 and more, H/2, W/2)``, packed.
+    """``image`` averaged in windows of 3x3: ``logits`` ``(B, 36, H/2, W/2)``, packed.
 
     As windows of 5x5 whose other weights are 0: they have kernels, and this is little of a step.
     """
     b, _, h, w = logits.shape
     wide = logits.new_full((b, OWN, 4, h, w), NEVER)
-    wide[:, _WITHIN] = logits[:, : 4 * NEAR].reshape(b, NEAR, 4, h, w)
+    wide[:, _WITHIN] = logits.reshape(b, NEAR, 4, h, w)
     return average(wide.flatten(1, 2), image, None, packed=True)
 
 

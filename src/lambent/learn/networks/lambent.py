@@ -4,7 +4,7 @@ What it predicts and why: `kernel_pyramid` and `denoise.inputs`. The backbone is
 be, because plain 3x3 convolutions with ReLU are what int8 runs fastest: no normalisation, no
 attention, strided convolutions on the way down, nearest neighbours on the way up::
 
-    half      stem ─ enc0 ──────────────────────── dec0a ─ dec0b ─ head1, head0, divisor (full size)
+    half      stem ─ enc0 ──────────────────────── dec0a ─ dec0b ─ head1, head0, albedo (full size)
     quarter        down1 ─ enc1 ────────────── dec1a ─ dec1b ─ head2
     eighth                down2 ─ enc2 ─ dec2a ─ dec2b ─ head3
     sixteenth                    down3 ─ enc3a ─ enc3b ─ head4
@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lambent.denoise.inputs import CHANNELS, DETAIL
+from lambent.denoise.inputs import CHANNELS
 from lambent.learn.networks.kernel_pyramid import LOGITS, NEAR, OWN, apply, near
 
 #: Widths of the four levels, by size.
@@ -39,7 +39,7 @@ class LambentNet(nn.Module):
 
     Returns the logits of five levels: ``(B, 4·36, H/2, W/2)`` for the full size, the gate's last,
     then ``(B, 35, …)`` at half, quarter and eighth, ``(B, 25, …)`` at a sixteenth; and those of the
-    divisor, ``(B, 4·10, H/2, W/2)``: the albedo's kernels, and the logarithm of the detail.
+    albedo's kernels, ``(B, 4·9, H/2, W/2)``.
     """
 
     def __init__(self, size: str = "default") -> None:
@@ -66,20 +66,19 @@ class LambentNet(nn.Module):
         self.head2 = nn.Conv2d(b, LOGITS, 1)
         self.head3 = nn.Conv2d(c, LOGITS, 1)
         self.head4 = nn.Conv2d(d, OWN, 1)
-        self.divisor = nn.Conv2d(a, 4 * (NEAR + 1), 1)
+        self.albedo = nn.Conv2d(a, 4 * NEAR, 1)
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 nn.init.zeros_(module.bias)  # type: ignore[arg-type]
-        for head in (self.head0, self.head1, self.head2, self.head3, self.head4, self.divisor):
+        for head in (self.head0, self.head1, self.head2, self.head3, self.head4, self.albedo):
             nn.init.normal_(head.weight, std=0.02)  # begin with nearly equal weights
         with torch.no_grad():
             own = 4 * (NEAR // 2)
-            self.divisor.bias[own : own + 4] = AS_IT_IS  # type: ignore[index]
-            self.divisor.weight[4 * NEAR :] = 0  # no detail
+            self.albedo.bias[own : own + 4] = AS_IT_IS  # type: ignore[index]
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """The logits of the five levels, finest first, and those of the divisor."""
+        """The logits of the five levels, finest first, and those of the albedo."""
 
         def r(name: str, z: Tensor) -> Tensor:
             return self.rounded(name, F.relu(z))
@@ -94,7 +93,7 @@ class LambentNet(nn.Module):
         d1 = r("at_half", self.dec1b(r("dec1a", self.dec1a(torch.cat([_up(d2), e1], 1)))))
         d0 = r("dec0b", self.dec0b(r("dec0a", self.dec0a(torch.cat([_up(d1), e0], 1)))))
         levels = self.head0(d0), self.head1(d0), self.head2(d1), self.head3(d2), self.head4(e3)
-        return *levels, self.divisor(d0)
+        return *levels, self.albedo(d0)
 
     def rounded(self, name: str, x: Tensor) -> Tensor:
         """An activation as int8 knows it; as it is, in this network in float (`rounded`)."""
@@ -102,31 +101,23 @@ class LambentNet(nn.Module):
 
 
 def denoised(outputs: tuple[Tensor, ...], colour: Tensor, divisor: Tensor) -> Tensor:
-    """Filter ``colour`` ``(B, 3, H, W)`` with the network's outputs; ``divisor``: the albedo's.
+    """Filter ``colour`` ``(B, 3, H, W)`` with the network's outputs.
 
-    With F the filter of the pyramid, a the albedo's divisor, k(p, q) 3x3 softmax weights, m the
-    detail and g the gate in (0, 1):
+    With F the filter of the pyramid, d the divisor, a(p, q) the albedo's kernels, 3x3 softmax
+    weights, and g the gate in (0, 1):
 
-        d(p) = m(p) Σ k(p, q) a(q)
-        out  = g · d · F(colour / d) + (1 - g) · F(colour)
+        d̂(p) = Σ a(p, q) d(q)
+        out  = g · d̂ · F(colour / d̂) + (1 - g) · F(colour)
 
     The first term keeps texture under light that varies slowly; the second is for pixels whose
-    albedo says nothing (glass, smoke). The albedo is averaged because it is noise itself at few
-    samples, in fog and out of focus: what it multiplies would have all of that noise again. The
-    detail is to shading what the albedo is to texture: no average of noisy neighbours shows folds
-    that the normals tell of, but light that was divided by a guess of them can be averaged further.
+    albedo says nothing (glass, smoke). d̂, because the albedo is noise itself, at few samples and
+    where it is fog's or out of focus: what it multiplies would have all of that noise again.
     """
-    *levels, of_divisor = outputs
-    d = near(of_divisor, divisor) * detail(of_divisor)
+    *levels, of_albedo = outputs
+    d = near(of_albedo, divisor)
     both = apply(levels, torch.cat([colour / d, colour], 1))
     gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
     return gate * d * both[:, :3] + (1 - gate) * both[:, 3:]
-
-
-def detail(of_divisor: Tensor) -> Tensor:
-    """The factor m ``(B, 1, H, W)`` of the last output: within e^±`DETAIL`."""
-    z = F.pixel_shuffle(of_divisor[:, 4 * NEAR :].float(), 2)
-    return torch.exp(DETAIL * torch.tanh(z / DETAIL))
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
