@@ -6,7 +6,7 @@ import pytest
 from lambent.denoise import inputs, prepare
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import Workspace, average_planes, logits_memory, padded
+from lambent.kernels.pyramid import Workspace, logits_memory, padded
 
 
 def frame(height=40, width=52, seed=0, **without):
@@ -124,17 +124,41 @@ def test_split_and_merged_are_inverse_for_any_gate():
     given = prepare.Given.of(made)
     alpha = made[Role.ROUGHNESS]
     space = Workspace()
-    d = prepare.divisors(given, "auto", space)
+    logits = logits_memory((36, 32, 32))
+    logits[...] = np.random.default_rng(1).normal(size=logits.shape)
+    d = prepare.divisors(given, logits, "auto", space)
     assert d is not None
-    as_it_is = logits_memory((36, d.height // 2, d.width // 2))
-    as_it_is[...] = np.where(np.arange(9) == 4, 0, -100).repeat(4)[:, None, None]
-    d = average_planes(as_it_is, d, "auto", space)
-    expected = given.divisor()
-    assert expected is not None
-    inside = d.planes[:, : made.height, : made.width].transpose(1, 2, 0)
-    np.testing.assert_allclose(inside, expected, rtol=1e-5)
     level = prepare.split(given, [made.colour, alpha], [True, False], d, "auto", space)
     gate = np.random.default_rng(0).normal(size=(4, 32, 32)).astype(np.float32)
     colour, same = prepare.merged(given, level, gate, [3, 1], [True, False], d, "auto")
     np.testing.assert_allclose(colour, made.colour, rtol=1e-5)
     np.testing.assert_array_equal(same, alpha)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_divided_layer_has_the_albedos_channels_or_their_mean(channels):
+    made = frame()
+    given = prepare.Given.of(made)
+    logits = logits_memory((36, 32, 32))
+    logits[...] = np.where(np.arange(9) == 4, 0, -100).repeat(4)[:, None, None]
+    d = prepare.divisors(given, logits, "auto")
+    layer = prepare.split(given, [made.colour[:, :, :channels]], [True], d, "auto")
+    by = given.divisor() if channels == 3 else given.divisor().mean(axis=2, keepdims=True)
+    inside = layer.planes[:channels, : made.height, : made.width].transpose(1, 2, 0)
+    np.testing.assert_allclose(inside, made.colour[:, :, :channels] / by, rtol=1e-5)
+
+
+def test_no_divisor_is_0():
+    """Where all weight lies outside the frame nothing would be left, and light over nothing."""
+    made = frame()
+    albedo = made[Role.ALBEDO].copy()
+    albedo[5, 5] = np.inf
+    given = prepare.Given.of(made.with_layer(made.layer(Role.ALBEDO).with_data(albedo)))
+    logits = logits_memory((36, 32, 32))
+    logits[...] = np.where(np.arange(9) == 0, 300, 0).repeat(4)[:, None, None]  # up and left
+    d = prepare.divisors(given, logits, "auto")
+    layer = prepare.split(given, [made.colour], [True], d, "auto")
+    assert np.isfinite(layer.planes).all()
+    gate = np.zeros((4, 32, 32), np.float32)
+    (out,) = prepare.merged(given, layer, gate, [3], [True], d, "auto")
+    np.testing.assert_allclose(out, made.colour, rtol=1e-5)

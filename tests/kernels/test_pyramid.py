@@ -120,6 +120,33 @@ def test_a_workspace_used_again_gives_the_same():
         np.testing.assert_array_equal(found, pyramid.filter_planes(logits, level).planes)
 
 
+@pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
+def test_averages_in_a_used_workspace_are_the_same():
+    rng = np.random.default_rng(6)
+    space = pyramid.Workspace()
+    for height, width in ((64, 96), (50, 90), (33, 70), (64, 96)):
+        level = filled(rng, 3, height, width)
+        logits = pyramid.logits_memory((36, level.height // 2, level.width // 2))
+        logits[...] = rng.normal(size=logits.shape)
+        again = pyramid.level_of(3, height, width, space)
+        again.planes[:, :height, :width] = level.planes[:, :height, :width]
+        found = pyramid.average_planes(logits, again, workspace=space).planes
+        np.testing.assert_array_equal(found, pyramid.average_planes(logits, level).planes)
+
+
+@pytest.mark.skipif(not machine.available("cpu"), reason="needs LLVM")
+def test_what_is_compiled_ahead_is_what_a_frame_needs():
+    pyramid.compile_all()
+    kernels = (pyramid._gather_kernel, pyramid._down_kernel)
+    made = [kernel.cache_info().misses for kernel in kernels]
+    rng = np.random.default_rng(7)
+    level = filled(rng, 3, 40, 40)
+    short = [pyramid.logits_memory(level.shape, short=True) for level in random_logits(rng, 40, 40)]
+    pyramid.filter_planes(short, level)
+    pyramid.average_planes(pyramid.logits_memory((36, 32, 32), short=True), level)
+    assert [kernel.cache_info().misses for kernel in kernels] == made
+
+
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (45, 70)])
 def test_the_weights_of_a_pixel_make_it(height, width):
     rng = np.random.default_rng(3)

@@ -23,9 +23,9 @@ def on_processor(monkeypatch):
     """What asks for CUDA gets the processor."""
     real = inference.filtered
 
-    def filtered(model, packed, images, divisors, device, views):
+    def filtered(model, packed, images, divided, divisor, device, views):
         assert device == "cuda"
-        return real(model, packed, images, divisors, "cpu", views)
+        return real(model, packed, images, divided, divisor, "cpu", views)
 
     monkeypatch.setattr(inference, "filtered", filtered)
 

@@ -285,8 +285,10 @@ import torch
 from lambent.learn.networks import kernel_pyramid as plain, pyramid_cuda as triton
 plain.available = lambda: False
 torch.manual_seed(0)
-for packed, above, (h, w) in ((True, True, (8, 12)), (False, True, (6, 4)), (False, False, (4, 4))):
-    count = (144 if packed else 35) if above else 25
+for packed, above, (h, w) in (
+    (True, True, (8, 12)), (False, True, (6, 4)), (False, False, (4, 4)), (True, False, (6, 8))
+):
+    count = (144 if packed else 35) if above else 100 if packed else 25
     z = torch.randn(2, count, h // 2 if packed else h, w // 2 if packed else w)
     z = z.to(memory_format=torch.channels_last)
     image, coarse = torch.rand(2, 6, h, w), torch.rand(2, 6, h // 2, w // 2) if above else None

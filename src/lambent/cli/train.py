@@ -156,7 +156,7 @@ def _write_page(path: Path, run: Run, recipe: TrainRecipe, running: bool) -> Non
 
 def _print_finetuned(result: dict[str, float], output: Path) -> None:
     print(
-        f"validation error {result['before']:.4f} before, {result['after']:.4f} after "
+        f"error on held-out tiles {result['before']:.4f} before, {result['after']:.4f} after "
         f"({100 * (result['after'] / result['before'] - 1):+.1f} %), "
         f"{int(result['steps'])} steps in {result['seconds']:.0f} s"
     )

@@ -45,8 +45,8 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.misses import missing_depth
 from lambent.frame.role import Role
 
-#: Counts up when a network trained for one description could not read the other, or says what the
-#: filter of the other does not know (2: the albedo's kernels).
+#: Counts up when what a network reads, or what its outputs mean, is another (2: it predicts kernels
+#: for the albedo, too).
 VERSION = 2
 #: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
 OFFSET = 0.05

@@ -33,7 +33,6 @@ from lambent.kernels.pyramid import (
     COARSE,
     OWN,
     as_floats,
-    average_planes,
     compile_all,
     filter_planes,
     padded,
@@ -46,7 +45,7 @@ _AT_ONCE = 4
 _GATE = 4 * (OWN + COARSE + 1)
 #: Pixels that a result may depend on, measured (tests/denoise/test_learned.py).
 _MARGIN = 192
-_BYTES, _BYTES_A_CHANNEL = 560, 16
+_BYTES, _BYTES_A_CHANNEL = 600, 16
 
 
 @dataclass(frozen=True)
@@ -110,11 +109,10 @@ class Lambent(Denoiser):
         """The weights ``(H, W)`` of pixel (x, y), all scales put together, with the mean albedo."""
         whole = self._whole or prepare.Whole.of(frame)
         given = prepare.Given.of(frame)
-        d = prepare.divisors(given, "cpu")
         with self._network() as network:
             packed = prepare.packed_inputs(given, whole, self.preference, "cpu", step=network.step)
             *levels, of_albedo = network(packed)
-            d = None if d is None else average_planes(of_albedo, d, "cpu")
+            d = prepare.divisors(given, of_albedo, "cpu")
             levels = [level.copy() for level in levels]
         height, width = frame.height, frame.width
         mask = np.zeros((padded(height), padded(width)), np.float32)
@@ -183,8 +181,7 @@ class Lambent(Denoiser):
             )
             network.holds(given.arrays)
             *levels, of_albedo = network(packed)
-            d = prepare.divisors(given, "cpu", space) if any(divided) else None
-            d = None if d is None else average_planes(of_albedo, d, "cpu", space)
+            d = prepare.divisors(given, of_albedo, "cpu", space) if any(divided) else None
             for first in range(0, len(images), _AT_ONCE):
                 some = list(images[first : first + _AT_ONCE])
                 by = list(divided[first : first + _AT_ONCE])
@@ -211,15 +208,9 @@ class Lambent(Denoiser):
                 remedy="pip install 'lambent[train]', or --device cpu",
             ) from error
         packed = prepare.packed_inputs(given, whole, self.preference, "auto")
-        d = given.divisor()
-        by = [
-            None if d is None or not own else d[:, :, : image.shape[2]] if image.shape[2] == 3
-            else np.repeat(d.mean(axis=2, keepdims=True), image.shape[2], axis=2)
-            for image, own in zip(images, divided, strict=True)
-        ]  # fmt: skip
         weights = self.weights or self.file
         found: list[FloatImage] = inference.filtered(
-            weights, packed, images, by, "cuda", self.views
+            weights, packed, images, divided, given.divisor(), "cuda", self.views
         )
         return found
 

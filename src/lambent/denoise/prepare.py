@@ -39,7 +39,15 @@ from lambent.frame.misses import FAR
 from lambent.frame.role import INFO, Role
 from lambent.kernels.arrays import aligned, backend
 from lambent.kernels.oidn import exposure
-from lambent.kernels.pyramid import Level, Logits, Workspace, as_floats, level_of, padded
+from lambent.kernels.pyramid import (
+    Level,
+    Logits,
+    Workspace,
+    as_floats,
+    average_planes,
+    level_of,
+    padded,
+)
 
 
 @dataclass(frozen=True)
@@ -94,7 +102,7 @@ class Given:
         return name in self.arrays
 
     def divisor(self) -> FloatImage | None:
-        """What colours are divided by ``(H, W, 3)``; None without an albedo."""
+        """What colours are divided by before it is averaged ``(H, W, 3)``; None without albedo."""
         if not self.has("albedo"):
             return None
         array, channels = self.arrays["albedo"]
@@ -242,10 +250,13 @@ def _depth(dr: Any, value: Any) -> tuple[Any, Any]:
 # --------------------------------------------------------------- the filter's ends
 
 
-def divisors(given: Given, device: str, workspace: Workspace | None = None) -> Level | None:
-    """The albedo plus `OFFSET` as three planes, to be averaged; None without an albedo.
+def divisors(
+    given: Given, logits: Logits, device: str, workspace: Workspace | None = None
+) -> Level | None:
+    """The albedo plus `OFFSET` in three planes, averaged by its kernels; None without an albedo.
 
-    They are where `split` writes, so that is for after they have been averaged.
+    ``logits`` ``(36, H/2, W/2)``: see `kernels.pyramid.average_planes`, as long as whose result
+    this lives. The planes before are where `split` writes, so that is for later.
     """
     if not given.has("albedo"):
         return None
@@ -257,16 +268,17 @@ def divisors(given: Given, device: str, workspace: Workspace | None = None) -> L
     flat = module.Float(array)
     index = dr.arange(module.UInt32, given.height * given.width)
     values = [dr.gather(module.Float, flat, index * channels + c) for c in range(3)]
-    d = [dr.clip(dr.select(dr.isfinite(v), v, 0), 0, 2) + OFFSET for v in values]
     target = module.Float(level.memory.reshape(-1))
     place = _places(dr, module, given, level, index)
     _, rows, stride = level.memory.shape
-    for c, value in enumerate(d):
-        dr.scatter(target, value, place + dr.opaque(module.UInt32, rows * stride) * c)
+    step = dr.opaque(module.UInt32, rows * stride)
+    for c, value in enumerate(values):
+        own = dr.clip(dr.select(dr.isfinite(value), value, 0), 0, 2) + OFFSET
+        dr.scatter(target, own, place + step * c)
     dr.eval(target)
     dr.sync_thread()
     _stored(level, target)
-    return level
+    return average_planes(logits, level, device, workspace)
 
 
 def split(
@@ -384,11 +396,15 @@ def _places(dr: Any, module: Any, given: Given, level: Level, index: Any) -> Any
 
 
 def _read(dr: Any, module: Any, level: Level, place: Any) -> list[Any]:
-    """Three planes of a level there."""
+    """The divisor's planes there.
+
+    An average of what is at least `OFFSET` is so, too, but for a pixel whose weights are all 0.
+    """
     _, rows, stride = level.memory.shape
     source = module.Float(level.memory.reshape(-1))
     step = dr.opaque(module.UInt32, rows * stride)
-    return [dr.gather(module.Float, source, place + step * c) for c in range(3)]
+    planes = [dr.gather(module.Float, source, place + step * c) for c in range(3)]
+    return [dr.maximum(plane, OFFSET) for plane in planes]
 
 
 def _stored(level: Level, target: Any) -> None:

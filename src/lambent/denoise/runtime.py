@@ -147,10 +147,9 @@ class PyramidNetwork(Network):
         return self
 
     def __call__(self, packed: NDArray[Any]) -> list[Logits]:
-        """The logits of every level ``(channels, H/2^l, W/2^l)`` for ``(1, C, H/2, W/2)``.
+        """The logits of every level ``(channels, H/2^l, W/2^l)``, then those of the albedo ``(36,
+        H/2, W/2)``, for ``packed`` ``(1, C, H/2, W/2)``, int8 or float32 as `step` says.
 
-        The last are those of the albedo ``(36, H/2, W/2)``. ``packed`` is int8 or float32, as
-        `step` says.
         They are bfloat16 (`kernels.pyramid`): the largest tensors there are, and half as large.
 
         Only within ``with network:``; the arrays are written again by the next call.

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from lambent.denoise.inputs import CHANNELS, PLANES
-from lambent.kernels.pyramid import COARSE, NEAR, OWN
+from lambent.kernels.pyramid import COARSE, OWN
 
 #: Outputs of the heads: sub-pixels of the finest level, and logits in order.
 _FINE = 4
@@ -118,10 +118,10 @@ def turned_inputs() -> np.ndarray:
 
 def turned_outputs(count: int) -> np.ndarray:
     """Where each output of a head comes from: taps, pixels of a cell, in the opposite order."""
-    fine = count >= _FINE * NEAR
+    fine = count % _FINE == 0
     logits = count // _FINE if fine else count
     taps = np.arange(logits)
-    own = min(logits, OWN)  # all taps of the albedo's and of the coarsest level's
+    own = min(logits, OWN)  # the albedo has 9
     taps[:own] = taps[:own][::-1]
     if logits > OWN:
         taps[OWN : OWN + COARSE] = taps[OWN : OWN + COARSE][::-1]

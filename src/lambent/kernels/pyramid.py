@@ -5,6 +5,8 @@ softmax weights of 5x5 pixels of a level and 3x3 of the coarser one, and one log
 way down. Here they run on a whole frame, for any number of channels at once; all get the same
 weights. Pixels outside the frame never get any.
 
+`average_planes` is a single average in 3x3 pixels, without a pyramid, which the albedo gets.
+
 Two forms: `filter_planes` compiles loops of its own (`kernels.machine`), in which the weights of a
 few pixels are made once and stay in the first cache for all channels; `reference` is the same in
 NumPy, for machines without LLVM and for tests.
@@ -202,10 +204,11 @@ def compile_all() -> None:
     """Compile every kernel of the filter now: before they are needed, in another thread."""
     if available():
         for packed in (True, False):
-            _down_kernel(packed, short=True).prepare()
-        _gather_kernel(True, False, short=True, side=3).prepare()
-        for packed, coarse in ((True, True), (False, True), (False, False)):
-            _gather_kernel(packed, coarse, short=True).prepare()
+            _down_kernel(packed, True).prepare()
+        for packed, coarse, side in (
+            (True, False, 3), (True, True, 5), (False, True, 5), (False, False, 5),
+        ):  # fmt: skip
+            _gather_kernel(packed, coarse, True, side).prepare()
 
 
 # -------------------------------------------------------------------- kernels
@@ -352,8 +355,8 @@ def _down_kernel(packed: bool, short: bool) -> Kernel:
     return Kernel(f"pyramid_down_{int(packed)}{int(short)}", write, effort=0)
 
 
-@functools.lru_cache(maxsize=8)
-def _gather_kernel(packed: bool, with_coarse: bool, short: bool, side: int = 5) -> Kernel:
+@functools.lru_cache(maxsize=16)
+def _gather_kernel(packed: bool, with_coarse: bool, short: bool, side: int) -> Kernel:
     own_taps, reach = side * side, side // 2
     taps = own_taps + (COARSE if with_coarse else 0)
     parts = 2 if packed else 1

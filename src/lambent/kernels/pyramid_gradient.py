@@ -60,7 +60,7 @@ def average(
     """The levels filtered with ``logits`` (from `with_room`); channels in threes."""
     assert own[0].channels % 3 == 0
     packed = is_packed(logits, own[0])
-    kernel = _gather_kernel(packed, coarse is not None, short=False)
+    kernel = _gather_kernel(packed, coarse is not None, False, 5)
     outs = [Level.empty(level.channels, level.height, level.width) for level in own]
 
     def work(b: int, scratch: FloatImage) -> None:

@@ -99,9 +99,8 @@ def finetune(
     """Tune the model ``start`` to the frames in ``paths`` and write it to ``output``.
 
     Returns the error on held-out tiles before and after (when they were last held out), steps and
-    seconds. Raises `OptionError` for too
-    little data, `LayerError` for a frame with neither reference nor half buffers, and what reading
-    frames raises.
+    seconds. Raises `OptionError` for too little data, `LayerError` for a frame with neither
+    reference nor half buffers, and what reading frames raises.
     """
     pairs = [pair for path in paths if SUFFIX not in path.name for pair in pairs_of(path)]
     card = dict(read_model(find_model(start), "signals").card)
@@ -119,24 +118,25 @@ def finetune(
         )  # fmt: skip
         checks = [line for line in run.lines() if "check" in line]
         scores = [line["check"]["score"] for line in checks]
-        scores = scores[: task.told_at]  # later ones are of tiles that have been learned from
-        before, after, best = scores[0], scores[-1], min(scores)
-        last = alike(scores)
+        held_out = scores[: task.told_at]
+        # later ones are of tiles that have been learned from: better says little, worse is worse
+        last = settled(held_out) and scores[-1] <= held_out[-1] * (1 + ALIKE)
+        before, after = held_out[0], held_out[-1] if last else min(held_out)
         model = task.network()
         model.load_state_dict(run.last_weights() if last else run.weights())
-    after = after if last else best
     steps = checks[-1]["step"]
+    judged = checks[len(held_out) - 1]["step"]
     card |= {
         "finetuned_from": card.get("name"),
         "finetuned_on": {"frames": len(paths), "pairs": len(pairs), "steps": steps},
-        "finetuned_error": [before, after],
+        "finetuned_error": {"before": before, "after": after, "at_step": judged},
     }
     export(model, output, card, None, overwrite, half=True)
     return {"before": before, "after": after, "steps": float(steps), "seconds": float(seconds)}
 
 
-def alike(scores: Sequence[float]) -> bool:
-    """Whether the last score is better than the first, and as good as the best."""
+def settled(scores: Sequence[float]) -> bool:
+    """Whether the last score is better than the first, and as good as the best or nearly so."""
     return scores[-1] < scores[0] and scores[-1] <= min(scores) * (1 + ALIKE)
 
 
@@ -173,8 +173,8 @@ def pairs_of(path: Path) -> list[Pair]:
 class FinetuneTask:
     """Crops of a few frames: a `learn.task.Task`.
 
-    ``tell_after``: seconds after which held-out tiles may be learned from (`alike` scores so far);
-    not of noisy targets. ``told_at``: how many scores there were by then; None: it did not happen.
+    ``tell_after``: seconds after which held-out tiles may be learned from, once the scores are
+    `settled`; not of noisy targets. ``told_at``: how many scores there were by then, or None.
     """
 
     def __init__(
@@ -219,7 +219,7 @@ class FinetuneTask:
         return model
 
     def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
-        """Crops from anywhere; of held-out tiles the target is not told."""
+        """Crops from anywhere; of held-out tiles the target is not told, until `told_at`."""
         return ahead(self.row, first, BATCH, rank, world)
 
     def row(self, step: int, number: int) -> Row:
@@ -285,7 +285,7 @@ class FinetuneTask:
             score += SURE * float(changes.std() / len(changes) ** 0.5)
         if self.told_at is None:
             self._scores.append(score)
-            if time.monotonic() > self._tell_at and not self.noisy and alike(self._scores):
+            if time.monotonic() > self._tell_at and not self.noisy and settled(self._scores):
                 self.told_at = len(self._scores)
         return {"score": score}, {}
 

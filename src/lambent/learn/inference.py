@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lambent.denoise.inputs import OFFSET
 from lambent.denoise.views import turned_inputs, turned_outputs
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
@@ -44,12 +45,13 @@ def filtered(
     model: str,
     packed: FloatImage,
     images: Sequence[FloatImage],
-    divisors: Sequence[FloatImage | None],
+    divided: Sequence[bool],
+    divisor: FloatImage | None,
     device: str,
     views: int = 1,
 ) -> list[FloatImage]:
-    """Images ``(H, W, C)``, C up to 3, filtered; of those with a divisor ``(H, W, C)`` also the
-    quotient, and both put together by the gate.
+    """Images ``(H, W, 1 or 3)`` filtered; where ``divided``, the quotient, too, and both put
+    together by the gate. ``divisor`` ``(H, W, 3)``: before it is averaged.
 
     ``packed``: `denoise.prepare.packed_inputs`, H and W padded to multiples of 32. ``views``: looks
     at the frame, 1 or 2. What is not finite counts as 0.
@@ -69,17 +71,19 @@ def filtered(
     mask = F.pad(torch.ones(1, 1, height, width, device=device), room)
     *levels, of_albedo = logits
     gate = torch.sigmoid(F.pixel_shuffle(levels[0][:, 4 * LOGITS :].float(), 2))
+    d = None
+    if divisor is not None:
+        d = near(of_albedo, torch.cat([F.pad(_planes(divisor, device), room), mask], 1))
+        d = (d[:, :-1] / (d[:, -1:] + TINY)).clamp_min(OFFSET)
     found = []
-    for image, divisor in zip(images, divisors, strict=True):
-        c = torch.nan_to_num(_planes(image, device), 0, 0, 0)
-        if divisor is None:
-            out = masked(levels, F.pad(c, room), mask)
+    for image, own in zip(images, divided, strict=True):
+        c = F.pad(torch.nan_to_num(_planes(image, device), 0, 0, 0), room)
+        if d is None or not own:
+            out = masked(levels, c, mask)
         else:
-            d = near(of_albedo, torch.cat([F.pad(_planes(divisor, device), room), mask], 1))
-            d = torch.where(mask > 0, d[:, :-1] / (d[:, -1:] + TINY), 1.0)
-            n, c = c.shape[1], F.pad(c, room)
-            both = masked(levels, torch.cat([c / d, c], 1), mask)
-            out = gate * d * both[:, :n] + (1 - gate) * both[:, n:]
+            by = d if c.shape[1] == 3 else d.mean(1, keepdim=True)
+            quotient, plain = masked(levels, torch.cat([c / by, c], 1), mask).chunk(2, 1)
+            out = gate * by * quotient + (1 - gate) * plain
         out = out[0, :, :height, :width].permute(1, 2, 0)
         found.append(np.ascontiguousarray(out.cpu().numpy()))
     return found

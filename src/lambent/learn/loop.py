@@ -200,6 +200,7 @@ def train(
     step, best, spent = 0, math.inf, 0.0
     if run.state.exists():
         state = _load(run.state)
+        _fits(model, state["model"], run.state)
         model.load_state_dict(state["model"])
         mean = {k: v.to(here.device) for k, v in state["mean"].items()}
         optimiser.load_state_dict(state["optimiser"])
@@ -336,6 +337,17 @@ def _begin_with(model: nn.Module, start: Mapping[str, torch.Tensor]) -> None:
             "normalisation cannot be trained on",
         )
     model.load_state_dict({name: start[name] for name in own})
+
+
+def _fits(model: nn.Module, weights: Mapping[str, torch.Tensor], file: Path) -> None:
+    """Raises `FileError` where a run's weights are those of another version's network."""
+    own = {name: p.shape for name, p in model.state_dict().items()}
+    if own != {name: p.shape for name, p in weights.items()}:
+        raise FileError(
+            "holds a run of another network, as an earlier version of Lambent had it",
+            file=file,
+            remedy="train into another folder with --run, or delete this one",
+        )
 
 
 def _optimiser(recipe: TrainRecipe, model: nn.Module) -> torch.optim.Optimizer:

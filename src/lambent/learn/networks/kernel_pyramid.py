@@ -14,7 +14,8 @@ of computation, with c_0 the image to filter, p and q pixels of a level l:
 One softmax over the 25 weights w and the 9 weights v of a pixel makes each step an average: grey
 stays grey, the range of values is kept, and the partition between the scales needs no number of
 its own. Departures: the partition and the upsampling weights are one softmax, and (1) uses one
-logit a pixel, so that a firefly can be kept out of the coarse levels.
+logit a pixel, so that a firefly can be kept out of the coarse levels. `near` is a single average in
+3x3 pixels, which the albedo gets.
 """
 
 from __future__ import annotations
@@ -37,9 +38,8 @@ from lambent.learn.networks.kernels import NEVER, gather, outside
 OWN, COARSE = 25, 9
 #: Logits of a level that has a coarser one: own taps, coarse taps, the weight for going down.
 LOGITS = OWN + COARSE + 1
-#: Taps of `near` (3x3), and where they are in a window of 5x5.
+#: Taps of `near` (3x3).
 NEAR = 9
-_WITHIN = [5 * y + x for y in (1, 2, 3) for x in (1, 2, 3)]
 #: Levels of the pyramid.
 LEVELS = 5
 
@@ -66,9 +66,9 @@ def near(logits: Tensor, image: Tensor) -> Tensor:
     As windows of 5x5 whose other weights are 0: they have kernels, and this is little of a step.
     """
     b, _, h, w = logits.shape
-    wide = logits.new_full((b, OWN, 4, h, w), NEVER)
-    wide[:, _WITHIN] = logits.reshape(b, NEAR, 4, h, w)
-    return average(wide.flatten(1, 2), image, None, packed=True)
+    wide = logits.new_full((b, 5, 5, 4, h, w), NEVER)
+    wide[:, 1:4, 1:4] = logits.reshape(b, 3, 3, 4, h, w)
+    return average(wide.flatten(1, 3), image, None, packed=True)
 
 
 def average(logits: Tensor, image: Tensor, coarse: Tensor | None, packed: bool) -> Tensor:
