@@ -13,7 +13,7 @@ import pytest
 import torch
 from made import few_threads  # noqa: F401
 
-from lambent.errors import DamagedFileError, OptionError
+from lambent.errors import DamagedFileError, FileError, OptionError
 from lambent.learn import losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import ready
@@ -128,6 +128,15 @@ def test_a_damaged_state_is_named(task, tmp_path):
     run = train(RECIPE, task, tmp_path / "run", "cpu", steps=1)
     run.state.write_bytes(run.state.read_bytes()[:1000])
     with pytest.raises(DamagedFileError, match=r"state\.pt"):
+        train(RECIPE, task, tmp_path / "run", "cpu")
+
+
+def test_a_run_of_an_earlier_network_is_named(task, tmp_path):
+    run = train(RECIPE, task, tmp_path / "run", "cpu", steps=1)
+    state = torch.load(run.state, weights_only=True)
+    del state["model"]["albedo.weight"]
+    torch.save(state, run.state)
+    with pytest.raises(FileError, match=r"state\.pt.*another network"):
         train(RECIPE, task, tmp_path / "run", "cpu")
 
 
