@@ -32,6 +32,7 @@ from lambent.denoise.inputs import (
     divisor,
     typical_depth,
 )
+from lambent.denoise.samples import told_samples
 from lambent.filters.features import variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -52,15 +53,20 @@ from lambent.kernels.pyramid import (
 
 @dataclass(frozen=True)
 class Whole:
-    """Numbers of the whole frame that its tiles need: exposure, and the median depth."""
+    """Numbers of the whole frame that its tiles need: exposure, the median depth, samples.
+
+    ``spp``: what the network is told (`samples.told_samples`).
+    """
 
     exposure: float
     depth: float
+    spp: float | None
 
     @classmethod
     def of(cls, frame: Frame) -> Whole:
         """Measured on a frame."""
-        return cls(exposure(frame.colour), typical_depth(frame))
+        factor = exposure(frame.colour)
+        return cls(factor, typical_depth(frame), told_samples(frame, factor))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +76,6 @@ class Given:
     height: int
     width: int
     arrays: dict[str, tuple[FloatImage, int]]
-    spp: float | None
 
     @classmethod
     def of(cls, frame: Frame) -> Given:
@@ -95,7 +100,7 @@ class Given:
             for name, image in found.items()
             if image is not None
         }
-        return cls(frame.height, frame.width, arrays, float(frame.spp) if frame.spp else None)
+        return cls(frame.height, frame.width, arrays)
 
     def has(self, name: str) -> bool:
         """Whether there is that layer."""
@@ -109,10 +114,9 @@ class Given:
         albedo = array.reshape(self.height, self.width, channels)[:, :, :3]
         return np.asarray(divisor(np, np.nan_to_num(albedo, nan=0, posinf=0, neginf=0)), np.float32)
 
-    def masks(self) -> Signals:
+    def masks(self, spp: float | None) -> Signals:
         """Signals without pixels: what `inputs.constants` looks at."""
-        there = {name: None for name in LAYERS if name in self.arrays}
-        return Signals(None, there, self.spp)
+        return Signals(None, {name: None for name in LAYERS if name in self.arrays}, spp)
 
 
 def packed_shape(given: Given) -> tuple[int, int, int, int]:
@@ -188,7 +192,7 @@ def packed_inputs(
     dr.eval(target)
     dr.sync_thread()
     result = target.numpy().reshape(shape)
-    numbers = constants(given.masks(), preference)
+    numbers = constants(given.masks(whole.spp), preference)
     if step is not None:
         numbers = np.rint(np.clip(numbers / step, -128, 127))
     result[0, 4 * PLANES :] = numbers[:, None, None]
