@@ -38,8 +38,8 @@ WITH_ALBEDO, WITHOUT = (-0.15, 0.45), (-0.6, 0.42)
 CLEAN, MOST = 64.0, 256.0
 #: The third quartile of the absolute values of a normal distribution.
 QUARTILE = 1.1503
-#: Rows from one that is looked at to the next, and how many differing pixels are evidence.
-EVERY, ENOUGH = 4, 200
+#: Rows that are looked at, and how many differing pixels are evidence.
+ROWS, ENOUGH = 64, 200
 
 
 def told_samples(frame: Frame, exposure: float) -> float | None:
@@ -61,10 +61,11 @@ def told_samples(frame: Frame, exposure: float) -> float | None:
 
 
 def noise(colour: FloatImage, albedo: FloatImage | None, exposure: float) -> float:
-    """σ of (1), from every fourth row; 0 where too few pixels differ from their neighbours."""
-    rows = np.arange(1, colour.shape[0] - 1, EVERY)
-    if not len(rows) or colour.shape[1] < 3:
+    """σ of (1), from `ROWS` rows; 0 where too few pixels differ from their neighbours."""
+    height, width = colour.shape[:2]
+    if height < 3 or width < 3:
         return 0.0
+    rows = np.linspace(1, height - 2, min(ROWS, height - 2)).astype(int)
     lines = []
     for offset in (-1, 0, 1):
         x = np.nan_to_num(colour[rows + offset], nan=0, posinf=0, neginf=0) * np.float32(exposure)
