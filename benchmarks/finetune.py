@@ -166,11 +166,12 @@ def main() -> None:
         }
         for name, paths in ways.items():
             model = Path(folder) / "tuned.lambent"
-            finetune(paths, arguments.model, model, arguments.minutes * 60, overwrite=True)
+            seconds = arguments.minutes * 60
+            done = finetune(paths, arguments.model, model, seconds, overwrite=True)
             found = errors(str(model), held)
             ratio = f"{found[ERRORS[0]] / start[ERRORS[0]]:.2f}"
             table.append([name, *(f"{v:.5f}" for v in found.values()), ratio])
-            print(" ".join(table[-1]), file=sys.stderr, flush=True)
+            print(" ".join(table[-1]), f"{done['steps']:.0f} steps", file=sys.stderr, flush=True)
     head = ["tuned on", "trimmed relMSE", "relMSE", "DSSIM", "HDR-FLIP", "÷ shipped"]
     print(f"{arguments.minutes:g} minutes each, four frames held out\n")
     print(markdown_table(head, table))
