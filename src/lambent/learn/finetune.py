@@ -55,6 +55,10 @@ HELD_OUT = 6
 #: Side of the squares that halves' errors are compared in; by how many standard errors it has to be
 #: less, of many checks the best.
 BLOCK, SURE = 32, 2.0
+#: The pixels are seen so often at most: after three times as many the eight frames of
+#: `benchmarks/finetune.py` were known by heart.
+PASSES = 180
+CHECK_EVERY = 40
 #: After this share of the time it is decided whether held-out tiles are learned from.
 DECIDED = 0.4
 #: With fewer pixels than this only `FIRST` is free (Vogels 2018); with more, all layers do better.
@@ -107,14 +111,18 @@ def finetune(
     card = dict(read_model(find_model(start), "signals").card)
     weights = float_weights(start, steps=True)
     size = str(card.get("recipe", {}).get("size", "default"))
-    task = FinetuneTask(pairs, size, int8="steps.input" in weights, tell_after=DECIDED * seconds)
+    most = round(PASSES * sum(p.target[0].size for p in pairs) / (BATCH * CROP**2))
+    task = FinetuneTask(
+        pairs, size, int8="steps.input" in weights, tell_after=DECIDED * seconds,
+        tell_from=round(DECIDED * most / CHECK_EVERY),
+    )  # fmt: skip
     recipe = TrainRecipe(
         name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
-        decay=0.99, check_every=40, steps=1 << 20, last_rate=0.05,
+        decay=0.99, check_every=CHECK_EVERY, steps=1 << 20, last_rate=0.05,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         run = train(
-            recipe, task, Path(folder) / "run", device, start=weights, seconds=seconds,
+            recipe, task, Path(folder) / "run", device, start=weights, seconds=seconds, steps=most,
             check_first=True, progress=_timed(progress, seconds),
         )  # fmt: skip
         checks = [line for line in run.lines() if "check" in line]
@@ -175,8 +183,9 @@ def pairs_of(path: Path) -> list[Pair]:
 class FinetuneTask:
     """Crops of a few frames: a `learn.task.Task`.
 
-    ``tell_after``: seconds after which held-out tiles may be learned from, once the scores are
-    `settled`; not of noisy targets. ``told_at``: how many scores there were by then, or None.
+    ``tell_after``, ``tell_from``: seconds or scores after which held-out tiles may be learned from,
+    once the scores are `settled`; not of noisy targets. ``told_at``: how many scores there were by
+    then, or None.
     """
 
     def __init__(
@@ -185,6 +194,7 @@ class FinetuneTask:
         size: str,
         int8: bool = False,
         tell_after: float = float("inf"),
+        tell_from: float = float("inf"),
     ) -> None:
         self.pairs = [p for p in pairs if min(p.target.shape[1:]) >= CROP]
         if not self.pairs:
@@ -208,7 +218,7 @@ class FinetuneTask:
         #: Some targets are halves.
         self.noisy = any(p.noisy_target for p in self.pairs)
         self._first: list[Tensor] = []
-        self._tell_at = time.monotonic() + tell_after
+        self._tell_at, self._tell_from = time.monotonic() + tell_after, tell_from
         self._scores: list[float] = []
         self.told_at: int | None = None
 
@@ -287,7 +297,8 @@ class FinetuneTask:
             score += SURE * float(changes.std() / len(changes) ** 0.5)
         if self.told_at is None:
             self._scores.append(score)
-            if time.monotonic() > self._tell_at and not self.noisy and settled(self._scores):
+            due = time.monotonic() > self._tell_at or len(self._scores) > self._tell_from
+            if due and not self.noisy and settled(self._scores):
                 self.told_at = len(self._scores)
         return {"score": score}, {}
 

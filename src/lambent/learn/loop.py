@@ -233,6 +233,8 @@ def train(
     try:
         while step < last:
             share = None if seconds is None else (time.monotonic() - began) / seconds
+            if share is not None and steps is not None:  # whichever ends first
+                share = max(share, step / steps)
             if share is not None and share >= 1:
                 last = step
                 if log is not None:
