@@ -173,3 +173,15 @@ def test_a_run_by_the_clock_is_not_bounded_by_steps(task, tmp_path, monkeypatch)
     assert len(checks) == 1
     assert checks[0] > 2
     assert all(done <= total == 60.0 for done, total in said)
+
+
+def test_of_time_and_steps_what_ends_first_counts(task, tmp_path):
+    """And the rate is down by then, however much time is left."""
+    run = train(RECIPE, task, tmp_path / "run", "cpu", seconds=1e6, steps=4)
+    lines = run.lines()
+    assert [line["step"] for line in lines if "check" in line] == [4]
+    rates = [line["rate"] for line in lines if "rate" in line]
+    state = torch.load(run.state, weights_only=True)
+    assert state["step"] == 4
+    assert state["optimiser"]["param_groups"][0]["lr"] < 0.5 * RECIPE.rate
+    assert rates == sorted(rates, reverse=True)

@@ -61,7 +61,7 @@ def train(
         typer.Option(
             "--minutes",
             metavar="M",
-            help="How long to fine-tune (10); of a recipe: train for so long instead of its steps.",
+            help="At most so long to fine-tune (10); of a recipe: so long instead of its steps.",
         ),
     ] = None,
     threads: Annotated[

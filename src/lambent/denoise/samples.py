@@ -1,7 +1,7 @@
 """How many samples a frame seems to have, where its file tells neither samples nor variances.
 
 A network that does not know how noisy a frame may be smooths fine patterns of light in a clean one:
-told the true number of samples it had three quarters of its error at 1,024 samples a pixel with
+told the true number of samples it had two thirds of its error at 1,024 samples a pixel with
 albedo and normal alone. A single pixel cannot tell noise from texture; a whole frame nearly can.
 
 The noise is measured with the mask that sees no planes and no edges along the axes,

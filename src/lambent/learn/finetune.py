@@ -103,6 +103,8 @@ def finetune(
 ) -> dict[str, float]:
     """Tune the model ``start`` to the frames in ``paths`` and write it to ``output``.
 
+    For ``seconds``, or until the pixels have been seen `PASSES` times.
+
     Returns the error on held-out tiles before and after (when they were last held out), steps and
     seconds. Raises `OptionError` for too little data, `LayerError` for a frame with neither
     reference nor half buffers, and what reading frames raises.
@@ -120,6 +122,7 @@ def finetune(
         name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
         decay=0.99, check_every=CHECK_EVERY, steps=1 << 20, last_rate=0.05,
     )  # fmt: skip
+    began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         run = train(
             recipe, task, Path(folder) / "run", device, start=weights, seconds=seconds, steps=most,
@@ -141,7 +144,12 @@ def finetune(
         "finetuned_error": {"before": before, "after": after, "at_step": judged},
     }
     export(model, output, card, None, overwrite, half=True)
-    return {"before": before, "after": after, "steps": float(steps), "seconds": float(seconds)}
+    return {
+        "before": before,
+        "after": after,
+        "steps": float(steps),
+        "seconds": time.monotonic() - began,
+    }
 
 
 def settled(scores: Sequence[float]) -> bool:

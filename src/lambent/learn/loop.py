@@ -262,7 +262,8 @@ def train(
                 else:
                     words = f"training {recipe.name}, step {step} of {last}"
                     progress(step - first, last - first, words)
-            if step % recipe.check_every == 0 or (step == recipe.steps and seconds is None):
+            ended = step == (recipe.steps if seconds is None else last)
+            if step % recipe.check_every == 0 or ended:
                 if here.first and log is not None:
                     best = _check(run, task, mean, here.device, step, best, log)
                     save()
