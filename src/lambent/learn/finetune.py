@@ -144,12 +144,8 @@ def finetune(
         "finetuned_error": {"before": before, "after": after, "at_step": judged},
     }
     export(model, output, card, None, overwrite, half=True)
-    return {
-        "before": before,
-        "after": after,
-        "steps": float(steps),
-        "seconds": time.monotonic() - began,
-    }
+    spent = time.monotonic() - began
+    return {"before": before, "after": after, "steps": float(steps), "seconds": spent}
 
 
 def settled(scores: Sequence[float]) -> bool:
@@ -372,8 +368,12 @@ def _planes(image: FloatImage) -> FloatImage:
 
 
 def _timed(progress: Progress | None, seconds: float) -> Any:
-    """Progress by the clock: the number of steps is not known."""
+    """Progress by the clock or by steps, whichever ends first."""
     if progress is None:
         return None
     began = time.monotonic()
-    return lambda _done, _total, text: progress(time.monotonic() - began, seconds, text)
+
+    def report(done: float, total: float, text: str) -> None:
+        progress(max(time.monotonic() - began, seconds * done / total), seconds, text)
+
+    return report
