@@ -63,12 +63,16 @@ def test_both_engines_give_one_picture(on_processor, in_float, guides, views):
 
 
 @pytest.mark.parametrize("name", ["lambent", "lambent-fast", "lambent-best"])
-def test_int8_is_near_the_same_weights_in_float(on_processor, name):
-    given = frame()
+def test_int8_is_rounded_alike_on_both_sides(on_processor, name):
+    """A clean frame with all layers: activations that end at 255 steps are what its kernels are of.
+
+    The same weights in float differ by 0.02 to 0.04 of the change.
+    """
+    whole = made.frame(np.random.default_rng(0), 64, size=96)
+    given = whole.crop(3, 73, 0, 45)
     ours, theirs = create(name)(given, "all"), create(name, device="cuda")(given, "all")
-    for role in (Role.COLOUR, Role.DIFFUSE):
-        change = np.abs(ours[role] - given[role]).mean()
-        assert np.abs(ours[role] - theirs[role]).mean() < 0.05 * change, role
+    change = np.abs(ours.colour - given.colour).mean()
+    assert np.abs(ours.colour - theirs.colour).mean() < 0.01 * change
 
 
 def test_alpha_is_filtered_without_the_albedo(on_processor, in_float):

@@ -1,4 +1,4 @@
-"""Batches made on the device: the same augmentation as row by row, and the two that are new."""
+"""Batches made on the device: the same augmentation as row by row, and what is new."""
 
 import os
 import subprocess
@@ -11,12 +11,15 @@ import torch
 import torch.nn.functional as F
 from made import few_threads  # noqa: F401
 
-from lambent.learn import augment, denoising, resident, splat
+from lambent.denoise import samples
+from lambent.denoise.inputs import Signals
+from lambent.learn import augment, changes, denoising, lamps, resident, splat
 from lambent.learn.augment import Example, merged
 from lambent.learn.batches import ready
 from lambent.learn.denoising import DenoisingTask
 from lambent.learn.loop import train
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import AT, NAMES, PLANES, Rows
 
 CPU = torch.device("cpu")
 
@@ -32,13 +35,13 @@ def rows(stills):
 
 
 def dice(value):
-    """In place of `resident._random`: every die shows the same."""
+    """In place of `rows.random`: every die shows the same."""
     return lambda size, count, rng: torch.full((size, count), float(value))
 
 
 @pytest.mark.parametrize("merge", [True, False])
 def test_drawing_and_encoding_are_those_of_a_single_row(stills, monkeypatch, merge):
-    monkeypatch.setattr(resident, "_random", dice(0.0 if merge else 1.0))
+    monkeypatch.setattr(resident, "random", dice(0.0 if merge else 1.0))
     residents = resident.Residents(stills, CPU)
     rows = residents.rows(6, torch.Generator().manual_seed(3))
     drawn = torch.multinomial(
@@ -78,15 +81,13 @@ def test_shrunk_crops_have_the_noise_of_four_times_the_samples():
     ramp = torch.linspace(0.5, 2.0, 32).expand(32, 32)
     deviation = 0.3 * ramp
     count = 400
-    planes = torch.zeros(count, resident.PLANES, 32, 32)
+    planes = torch.zeros(count, PLANES, 32, 32)
     colour = ramp + deviation * torch.randn(count, 1, 32, 32, generator=rng)
     planes[:, :3] = colour
-    noisy = resident.Rows(
-        planes, torch.ones(count, len(resident.NAMES)), planes[:, :4], torch.full((count,), 8.0)
-    )
+    noisy = Rows(planes, torch.ones(count, len(NAMES)), planes[:, :4], torch.full((count,), 8.0))
     noisy.layer("colour_std")[:] = deviation
     noisy.target = torch.cat([colour.expand(-1, 3, -1, -1), deviation.expand(count, 1, 32, 32)], 1)
-    small = resident.shrunk(noisy)
+    small = changes.shrunk(noisy)
     assert small.planes.shape[2:] == small.target.shape[2:] == (16, 16)
     assert float(small.spp[0]) == 32
     torch.testing.assert_close(
@@ -101,37 +102,37 @@ def test_shrunk_crops_have_the_noise_of_four_times_the_samples():
 def test_thinned_samples_have_the_same_mean_and_say_how_noisy_they_are():
     rng = torch.Generator().manual_seed(3)
     count, n, level, deviation = 64, 16, 0.7, 0.2  # deviation: of the mean of n samples
-    planes = torch.zeros(count, resident.PLANES, 24, 24)
+    planes = torch.zeros(count, PLANES, 24, 24)
     planes[:, :3] = level + deviation * torch.randn(count, 1, 24, 24, generator=rng)
-    rows = resident.Rows(
+    rows = Rows(
         planes,
-        torch.ones(count, len(resident.NAMES)),
+        torch.ones(count, len(NAMES)),
         torch.zeros(count, 4, 24, 24),
         torch.full((count,), float(n)),
     )
     rows.layer("colour_std")[:] = deviation
-    resident.thinned(rows, rng)
+    changes.thinned(rows, rng)
     assert float(rows.planes[:, :3].mean()) == pytest.approx(level, rel=0.02)
     spread = rows.planes[:, 0].std((1, 2))
     told = rows.layer("colour_std").square().mean((1, 2, 3)).sqrt()
     assert float((spread / told).mean()) == pytest.approx(1, abs=0.06)
     assert float(spread.max()) > 1.3 * deviation
-    one = resident.Rows(planes[:, :, :8, :8], rows.there, rows.target, torch.ones(count))
+    one = Rows(planes[:, :, :8, :8], rows.there, rows.target, torch.ones(count))
     one.planes[:, :3] = 1.0
-    resident.thinned(one, rng)
+    changes.thinned(one, rng)
     empty = (one.planes[:, 0] == 0).float().mean()
     assert 0.2 < float(empty) < 0.8  # pixels without light
 
 
 def test_haze_adds_its_light_and_tells_its_noise():
     count, samples = 4000, 16
-    planes = torch.zeros(count, resident.PLANES, 8, 8)
+    planes = torch.zeros(count, PLANES, 8, 8)
     planes[:, :3] = 0.5
-    planes[:, resident._AT["albedo"]] = 0.8
+    planes[:, AT["albedo"]] = 0.8
     target = torch.full((count, 4, 8, 8), 0.5)
-    names = torch.ones(count, len(resident.NAMES))
-    rows = resident.Rows(planes, names, target, torch.full((count,), float(samples)))
-    resident.hazed(rows, torch.Generator().manual_seed(6))
+    names = torch.ones(count, len(NAMES))
+    rows = Rows(planes, names, target, torch.full((count,), float(samples)))
+    changes.hazed(rows, torch.Generator().manual_seed(6))
     light = rows.planes[:, :3].mean((2, 3))
     wanted = rows.target[:, :3].mean((2, 3))
     assert float((light / wanted).mean()) == pytest.approx(1, abs=0.01)
@@ -174,10 +175,10 @@ def test_batches_follow_from_seed_and_step(stills):
 def test_turning_keeps_normals_of_unit_length(rows):
     before = rows.layer("normal").norm(dim=1).mean()
     light = rows.target.sum((2, 3))
-    turned = resident.turned(rows, torch.Generator().manual_seed(2))
+    turned = changes.turned(rows, torch.Generator().manual_seed(2))
     assert float(turned.layer("normal").norm(dim=1).mean()) == pytest.approx(float(before))
     torch.testing.assert_close(turned.target.sum((2, 3)), light)
-    q = resident._rotations(64, torch.Generator().manual_seed(0))
+    q = changes._rotations(64, torch.Generator().manual_seed(0))
     eye = torch.eye(3).expand(64, 3, 3)
     torch.testing.assert_close(q @ q.mT, eye, atol=1e-5, rtol=0)
     assert {round(float(d)) for d in torch.linalg.det(q)} == {-1, 1}
@@ -186,7 +187,7 @@ def test_turning_keeps_normals_of_unit_length(rows):
 def test_paint_is_in_albedo_and_light_alike(rows):
     light = rows.target[:, :3] / rows.layer("albedo").clamp_min(1e-3)
     albedo = rows.layer("albedo").clone()
-    resident.painted(rows, torch.Generator().manual_seed(2))
+    changes.painted(rows, torch.Generator().manual_seed(2))
     again = rows.target[:, :3] / rows.layer("albedo").clamp_min(1e-3)
     torch.testing.assert_close(light, again, rtol=1e-3, atol=1e-3)
     assert float((rows.layer("albedo") - albedo).abs().mean()) > 0.02
@@ -194,7 +195,7 @@ def test_paint_is_in_albedo_and_light_alike(rows):
 
 def test_shadows_are_in_the_light_alone(rows):
     planes, target = rows.planes.clone(), rows.target.clone()
-    resident.shaded(rows, torch.Generator().manual_seed(4))
+    changes.shaded(rows, torch.Generator().manual_seed(4))
     torch.testing.assert_close(rows.planes[:, 3:11], planes[:, 3:11], rtol=0, atol=0)
     gain = rows.target[:, :3] / target[:, :3].clamp_min(1e-4)
     noisy = rows.planes[:, :3] / planes[:, :3].clamp_min(1e-4)
@@ -203,8 +204,82 @@ def test_shadows_are_in_the_light_alone(rows):
     assert float(gain[lit].std()) > 0.1
 
 
+def test_relief_bends_normals_and_light_alike(rows):
+    before = Rows(rows.planes.clone(), rows.there.clone(), rows.target.clone(), rows.spp)
+    rows.there[0, NAMES.index("normal")] = 0
+    changes.embossed(rows, torch.Generator().manual_seed(4))
+    normal, old = rows.layer("normal"), before.layer("normal")
+    there = (old.norm(dim=1) > 0.3) & (rows.there[:, NAMES.index("normal"), None, None] > 0)
+    torch.testing.assert_close(normal.norm(dim=1), old.norm(dim=1), atol=1e-4, rtol=1e-4)
+    cosine = F.cosine_similarity(normal, old, dim=1)[there]
+    assert 0.5 < float(cosine.mean()) < 0.999
+    # one factor for all of it; and none where there are no normals
+    lit = before.planes[:, :1].abs() > 1e-3
+    factor = (rows.planes[:, :1] / before.planes[:, :1])[lit]
+    assert float(factor.std()) > 0.02
+    assert 1 / 8.1 < float(factor.min()) < float(factor.max()) < 8.1
+    own = rows.planes[:, :1] / before.planes[:, :1].clamp_min(1e-6)
+    torch.testing.assert_close(
+        rows.target[:, :3][lit.expand(-1, 3, -1, -1)],
+        (before.target[:, :3] * own)[lit.expand(-1, 3, -1, -1)], atol=1e-4, rtol=1e-3,
+    )  # fmt: skip
+    torch.testing.assert_close(rows.planes[0], before.planes[0])
+    torch.testing.assert_close(rows.layer("albedo"), before.layer("albedo"))
+
+
+def test_a_collage_shows_one_or_the_other_and_tells_its_noise():
+    count, samples_ = 3000, 8
+    planes = torch.zeros(count, PLANES, 8, 8)
+    planes[:, :3, :4] = 1.0  # above bright, below dark; turned the other way round
+    planes[:, AT["albedo"]] = planes[:, :3]
+    target = torch.cat([planes[:, :3], torch.full((count, 1, 8, 8), 0.1)], 1)
+    there = torch.ones(count, len(NAMES))
+    rows = Rows(planes.clone(), there, target.clone(), torch.full((count,), float(samples_)))
+    changes.collaged(rows, torch.Generator().manual_seed(2))
+    light, wanted = rows.planes[:, 0], rows.target[:, 0]
+    assert float((light - wanted).mean()) == pytest.approx(0, abs=2e-3)
+    assert float((light * samples_ - (light * samples_).round()).abs().max()) < 1e-5
+    told = rows.layer("colour_std")[:, 0].square().mean()
+    assert float(told / (light - wanted).square().mean()) == pytest.approx(1, abs=0.1)
+    torch.testing.assert_close(rows.layer("albedo")[:, 0], light)  # every layer alike
+    assert float(rows.target[:, 3].max()) == pytest.approx(0.1, abs=1e-4)
+    assert 0.2 < float((wanted[:, :4] < 0.5).float().mean()) < 0.8
+    one = Rows(planes.clone(), there, target.clone(), torch.ones(count))
+    changes.collaged(one, torch.Generator().manual_seed(2))
+    assert set(one.planes[:, :3].unique().tolist()) == {0.0, 1.0}
+
+
+@pytest.mark.parametrize("albedo", [True, False])
+def test_the_guess_of_samples_is_that_of_a_single_row(albedo):
+    rng = torch.Generator().manual_seed(5)
+    x = 0.3 + torch.tensor([0.3, 0.05, 0.004, 0.0])[:, None, None, None] * torch.randn(
+        4, 3, 40, 40, generator=rng
+    )
+    found = resident.guessed(x, torch.full((4,), albedo))
+    for i in range(3):
+        layers = {"albedo": np.full((3, 40, 40), 0.95, np.float32)} if albedo else {}
+        one = samples.guessed(Signals(x[i].numpy(), layers))
+        assert float(found[i]) == pytest.approx(np.log2(one), abs=0.05)
+    assert found[0] < found[1] < found[2]
+    assert found[3] == 0  # no evidence
+
+
+def test_only_what_tells_neither_samples_nor_variance_is_guessed(rows):
+    masks = torch.ones(8, len(resident.MASKS))
+    deviations = list(resident.MASKS).index("colour_std")
+    masks[4:, deviations] = 0
+    rows.there[:] = 1
+    spp = torch.tensor([8.0, 0, 8, 0] * 2)
+    packed = resident.ready(rows, masks, spp, torch.zeros(8))[0]
+    size, known = packed[:, -3, 0, 0] * 10, packed[:, -2, 0, 0]
+    assert known.tolist() == [1, 0, 1, 0] * 2
+    assert size[:4].tolist() == pytest.approx([3, 0, 3, 0])
+    assert size[[4, 6]].tolist() == pytest.approx([3, 3])
+    assert (size[[5, 7]] > 0).all()
+
+
 def test_patterns_have_edges_soft_and_sharp():
-    found = resident.pattern(64, 64, 64, torch.Generator().manual_seed(0))
+    found = changes.pattern(64, 64, 64, torch.Generator().manual_seed(0))
     assert found.shape == (64, 1, 64, 64)
     assert 0 <= float(found.min()) < 0.01
     assert 0.99 < float(found.max()) <= 1
@@ -215,23 +290,23 @@ def test_patterns_have_edges_soft_and_sharp():
 
 @pytest.mark.parametrize("kind", range(3))
 def test_splatting_is_that_of_a_single_row(rows, monkeypatch, kind):
-    monkeypatch.setattr(resident, "_random", dice((kind + 0.5) / 3))
+    monkeypatch.setattr(changes, "random", dice((kind + 0.5) / 3))
     target, means = rows.target.clone(), rows.planes[:, :11].mean((0, 2, 3))
-    resident.filtered(rows, torch.Generator().manual_seed(1))
+    changes.filtered(rows, torch.Generator().manual_seed(1))
     for i in range(len(target)):
         wanted = splat.expected(target[i].numpy(), splat.FILTERS[kind])
         wanted[3:] = np.maximum(wanted[3:], 0)
         np.testing.assert_allclose(rows.target[i].numpy(), wanted, rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(rows.planes[:, :11].mean((0, 2, 3)), means, rtol=0.05, atol=0.01)
-    there = dict(zip(resident.NAMES, rows.there[0].tolist(), strict=True))
+    there = dict(zip(NAMES, rows.there[0].tolist(), strict=True))
     assert there["albedo"] == 1
     assert there["colour_std"] == 0
 
 
 def test_lamps_stand_still(rows, monkeypatch):
-    monkeypatch.setattr(resident.lamps, "MOST", 1)
+    monkeypatch.setattr(lamps, "MOST", 1)
     before = rows.target.clone()
-    resident.lit(rows, torch.Generator().manual_seed(3))
+    changes.lit(rows, torch.Generator().manual_seed(3))
     changed = (rows.target[:, :3] - before[:, :3]).abs().amax(1)
     noisy = rows.planes[:, :3].amax(1)
     full = rows.target[:, 3] < 1e-6 * before[:, 3].clamp_min(1e-9)  # nothing but the lamp is seen
@@ -245,12 +320,12 @@ def test_layers_are_kept_as_often_as_row_by_row():
     class Some:
         planes = torch.zeros(4000, 1)
 
-    masks, spp = resident.without_some(Some, torch.ones(4000), torch.Generator().manual_seed(0))
+    masks, spp = changes.without_some(Some, torch.ones(4000), torch.Generator().manual_seed(0))
     whole, none = masks.all(1).float().mean(), (masks == 0).all(1).float().mean()
     rest = 1 - augment.ALL - augment.PLAIN - augment.COLOUR
     assert float(whole) == pytest.approx(augment.ALL + rest * 0.6**7, abs=0.03)
     assert float(none) == pytest.approx(augment.COLOUR + rest * 0.4**7, abs=0.03)
-    assert float((spp == 0).float().mean()) == pytest.approx(0.3, abs=0.03)
+    assert float((spp == 0).float().mean()) == pytest.approx(augment.UNTOLD, abs=0.03)
 
 
 @pytest.mark.parametrize("together", [1, 3])

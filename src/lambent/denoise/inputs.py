@@ -26,8 +26,9 @@ number what                                                         mask
 3      history: t of the previous output, warped here               history
 ====== ============================================================ ==================
 
-Constants, the same in every pixel: the seven masks above, log2(spp)/10 (0 where unknown), whether
-spp is known, and the preference λ in [0, 1] (0: least error, 1: keep what might be detail).
+Constants, the same in every pixel: the seven masks above, log2(spp)/10, whether spp is known, and
+the preference λ in [0, 1] (0: least error, 1: keep what might be detail). Where spp is unknown and
+there is no colour variance either, its place has what the frame seems to have (`denoise.samples`).
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ from lambent.frame.misses import missing_depth
 from lambent.frame.role import Role
 
 #: Counts up when what a network reads, or what its outputs mean, is another (2: it predicts kernels
-#: for the albedo, too).
-VERSION = 2
+#: for the albedo, too; 3: it is told a guess of spp).
+VERSION = 3
 #: Added to the albedo before dividing by it; the most a colour is amplified is 1/OFFSET.
 OFFSET = 0.05
 #: t(v) = log(1 + SLOPE v) / RANGE: 0.18 becomes 0.22, 1 becomes 0.47, 1000 becomes 1.6.
@@ -89,12 +90,14 @@ class Signals:
 
     ``colour`` ``(3, H, W)``, linear radiance. ``layers``: those of `LAYERS` that there are.
     Standard deviations are of the pixel means; that of the colour is the root of the mean variance
-    of its channels. ``depth`` is encoded (see the module's table). ``spp`` None: unknown.
+    of its channels. ``depth`` is encoded (see the module's table). ``spp`` None: unknown; ``guess``
+    is what it seems to be, then.
     """
 
     colour: Any
     layers: Mapping[str, Any] = field(default_factory=dict)
     spp: float | None = None
+    guess: float | None = None
 
     def masks(self) -> dict[str, float]:
         """1 for every mask whose layers are there."""
@@ -190,9 +193,8 @@ def encode(xp: ModuleType, signals: Signals, exposure: float) -> Any:
 
 def constants(signals: Signals, preference: float) -> FloatImage:
     """The constants ``(CONSTANTS,)``: masks, spp, whether it is known, λ."""
-    spp = signals.spp
-    known = spp is not None and spp > 0
-    size = float(np.log2(spp)) / 10 if known and spp is not None else 0.0
+    known = bool(signals.spp)
+    size = float(np.log2(signals.spp or signals.guess or 1)) / 10
     return np.array([*signals.masks().values(), size, float(known), preference], np.float32)
 
 

@@ -32,7 +32,7 @@ from lambent.denoise.inputs import (
     divisor,
     typical_depth,
 )
-from lambent.denoise.samples import told_samples
+from lambent.denoise.samples import seeming_samples
 from lambent.filters.features import variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -55,18 +55,20 @@ from lambent.kernels.pyramid import (
 class Whole:
     """Numbers of the whole frame that its tiles need: exposure, the median depth, samples.
 
-    ``spp``: what the network is told (`samples.told_samples`).
+    ``guess``: `samples.seeming_samples`.
     """
 
     exposure: float
     depth: float
     spp: float | None
+    guess: float | None = None
 
     @classmethod
     def of(cls, frame: Frame) -> Whole:
         """Measured on a frame."""
         factor = exposure(frame.colour)
-        return cls(factor, typical_depth(frame), told_samples(frame, factor))
+        guess = seeming_samples(frame, factor)
+        return cls(factor, typical_depth(frame), float(frame.spp) if frame.spp else None, guess)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +116,9 @@ class Given:
         albedo = array.reshape(self.height, self.width, channels)[:, :, :3]
         return np.asarray(divisor(np, np.nan_to_num(albedo, nan=0, posinf=0, neginf=0)), np.float32)
 
-    def masks(self, spp: float | None) -> Signals:
+    def masks(self, spp: float | None, guess: float | None) -> Signals:
         """Signals without pixels: what `inputs.constants` looks at."""
-        return Signals(None, {name: None for name in LAYERS if name in self.arrays}, spp)
+        return Signals(None, {name: None for name in LAYERS if name in self.arrays}, spp, guess)
 
 
 def packed_shape(given: Given) -> tuple[int, int, int, int]:
@@ -192,7 +194,7 @@ def packed_inputs(
     dr.eval(target)
     dr.sync_thread()
     result = target.numpy().reshape(shape)
-    numbers = constants(given.masks(whole.spp), preference)
+    numbers = constants(given.masks(whole.spp, whole.guess), preference)
     if step is not None:
         numbers = np.rint(np.clip(numbers / step, -128, 127))
     result[0, 4 * PLANES :] = numbers[:, None, None]

@@ -17,16 +17,16 @@ crops of the training data fall with the samples n as
 
     log2 σ = a - b log2 n                                                                    (2)
 
-whose inverse is the guess. Texture raises σ, so a frame is taken for noisier than it is, not for
-cleaner; and only frames that seem to have `CLEAN` samples and more get a guess at all: for noisy
-ones it made errors larger, as the network then sees the noise itself.
+whose inverse is the guess, held to [1, `MOST`]. Texture raises σ, so a frame is taken for noisier
+than it is, not for cleaner. The network is told the guess in place of the samples, and that it is
+one: it was trained with guesses of crops (`learn.resident`), and knows how far to trust them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lambent.denoise.inputs import SLOPE, albedo_of, divisor
+from lambent.denoise.inputs import SLOPE, Signals, albedo_of, divisor
 from lambent.filters.features import variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -34,30 +34,40 @@ from lambent.frame.role import Role
 
 #: a and b of (2), with an albedo and without (1,260 levels of 500 training crops).
 WITH_ALBEDO, WITHOUT = (-0.15, 0.45), (-0.6, 0.42)
-#: Guesses below are not told; what seems cleaner is told to have `MOST`.
-CLEAN, MOST = 64.0, 256.0
+#: What seems cleaner is told to have so many.
+MOST = 4096.0
 #: The third quartile of the absolute values of a normal distribution.
 QUARTILE = 1.1503
-#: Rows that are looked at, and how many differing pixels are evidence.
-ROWS, ENOUGH = 64, 200
+#: What differs less from its neighbours is no evidence; how many pixels are enough; rows looked at.
+LEAST, ENOUGH, ROWS = 1e-5, 200, 64
 
 
-def told_samples(frame: Frame, exposure: float) -> float | None:
-    """Samples a pixel that the network is told: the frame's, else a guess, else None.
+def seeming_samples(frame: Frame, exposure: float) -> float | None:
+    """Samples a pixel that a frame seems to have; None where the file tells them, or a variance.
 
-    ``exposure``: of the whole frame. Where there is a variance there is no need to guess.
+    ``exposure``: of the whole frame. None also where too few pixels differ from their neighbours.
     """
-    if frame.spp:
-        return float(frame.spp)
-    if variance_of(frame, Role.COLOUR) is not None:
+    if frame.spp or variance_of(frame, Role.COLOUR) is not None:
         return None
-    albedo = albedo_of(frame)
-    sigma = noise(frame.colour, albedo, exposure)
+    return guess(frame.colour, albedo_of(frame), exposure)
+
+
+def guessed(signals: Signals) -> float | None:
+    """The same of signals at the exposure that the network sees."""
+    if signals.spp or "colour_std" in signals.layers:
+        return None
+    albedo = signals.layers.get("albedo")
+    albedo = None if albedo is None else albedo.transpose(1, 2, 0)
+    return guess(signals.colour.transpose(1, 2, 0), albedo, 1.0)
+
+
+def guess(colour: FloatImage, albedo: FloatImage | None, exposure: float) -> float | None:
+    """The inverse of (2) for pictures ``(H, W, 3)``; None where there is no evidence."""
+    sigma = noise(colour, albedo, exposure)
     if not sigma:
         return None
     a, b = WITHOUT if albedo is None else WITH_ALBEDO
-    samples = 2.0 ** ((a - np.log2(sigma)) / b)
-    return min(float(samples), MOST) if samples >= CLEAN else None
+    return float(np.clip(2.0 ** ((a - np.log2(sigma)) / b), 1, MOST))
 
 
 def noise(colour: FloatImage, albedo: FloatImage | None, exposure: float) -> float:
@@ -75,5 +85,5 @@ def noise(colour: FloatImage, albedo: FloatImage | None, exposure: float) -> flo
     above, here, below = lines
     across = above + below - 2 * here  # the mask is the product of 1 -2 1 down and across
     seen = np.abs(across[:, :-2] + across[:, 2:] - 2 * across[:, 1:-1])
-    seen = seen[seen > 1e-5]
+    seen = seen[seen > LEAST]
     return float(np.quantile(seen, 0.75)) / (6 * QUARTILE) if seen.size >= ENOUGH else 0.0

@@ -24,6 +24,8 @@ TINT = 0.2
 #: Shares of the examples that keep all layers; albedo and normal, as most renderers write them;
 #: none. Where layers are few there is more to learn.
 ALL, PLAIN, COLOUR = 0.33, 0.25, 0.2
+#: Share of the examples whose samples are not told.
+UNTOLD = 0.5
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def without_some(example: Example, rng: np.random.Generator) -> Example:
     for guide in ("albedo", "normal", "depth"):
         if guide not in layers:
             layers.pop(f"{guide}_std", None)
-    spp = None if rng.random() < 0.3 else example.noisy.spp
+    spp = None if rng.random() < UNTOLD else example.noisy.spp
     return replace(example, noisy=replace(example.noisy, layers=layers, spp=spp))
 
 

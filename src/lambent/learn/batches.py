@@ -12,12 +12,13 @@ import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from lambent.denoise.inputs import constants, divisor, encode, pack
+from lambent.denoise.samples import guessed
 from lambent.frame.layer import FloatImage
 from lambent.learn import lamps
 from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
@@ -100,8 +101,10 @@ def row(sampler: Sampler, seed: int, step: int, number: int) -> Row:
 
 
 def ready(example: Example, preference: float, spp: float) -> Row:
-    """An example as arrays for the network."""
+    """An example as arrays for the network, with a guess of spp where it has none yet."""
     noisy = example.noisy
+    if noisy.guess is None:
+        noisy = replace(noisy, guess=guessed(noisy))
     albedo = noisy.layers.get("albedo")
     d = np.ones_like(noisy.colour) if albedo is None else divisor(np, albedo)
     numbers = constants(noisy, preference)

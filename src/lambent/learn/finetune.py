@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from lambent.denoise.inputs import Signals, signals_of
 from lambent.denoise.model_file import find_model, read_model
-from lambent.denoise.samples import told_samples
+from lambent.denoise.samples import seeming_samples
 from lambent.errors import LayerError, OptionError
 from lambent.frame.files import read
 from lambent.frame.frame import Frame
@@ -168,8 +168,8 @@ def pairs_of(path: Path) -> list[Pair]:
                 file=other,
                 remedy="a reference needs the size of its frame",
             )
-        spp = told_samples(frame, float(factor))
-        noisy = replace(_exposed(signals_of(frame), factor), spp=spp)
+        guess = seeming_samples(frame, float(factor))
+        noisy = replace(_exposed(signals_of(frame), factor), guess=guess)
         return [Pair(str(path), noisy, _planes(reference) * factor, False, epsilon)]
     a, b = frame.get(Role.COLOUR, Stat.HALF_A), frame.get(Role.COLOUR, Stat.HALF_B)
     if a is None or b is None:

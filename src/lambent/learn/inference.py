@@ -23,6 +23,7 @@ from lambent.kernels.pyramid import TINY
 from lambent.learn.export import float_weights
 from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells, near
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
+from lambent.learn.networks.rounded import RoundedNet
 
 
 @functools.lru_cache(maxsize=4)
@@ -32,10 +33,11 @@ def network(model: str, device: str) -> LambentNet:
         raise EngineError(
             "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
         )
-    weights = float_weights(model)
+    weights = float_weights(model, steps=True)
     size = next(n for n, widths in WIDTHS.items() if widths[0] == len(weights["stem.weight"])
                 and widths[-1] == len(weights["enc3b.weight"]))  # fmt: skip
-    found = LambentNet(size)
+    # what was taught in int8 counts on activations that end at their largest integer
+    found = RoundedNet(size) if "steps.input" in weights else LambentNet(size)
     found.load_state_dict(weights)
     return found.eval().to(device).to(memory_format=torch.channels_last)
 
