@@ -250,7 +250,8 @@ def collaged(rows: Rows, rng: torch.Generator) -> None:
     Of a pixel's n samples k ~ B(n, m) do: every layer is k/n of one and the rest of the other.
     """
     size = len(rows.planes)
-    cover = pattern(size, *rows.planes.shape[2:], rng)
+    height, width = rows.planes.shape[2:]
+    cover = pattern(size, height, width, rng)
     n = rows.spp.round().clamp_min(1)[:, None, None, None]
     hits = torch.binomial(n.expand_as(cover).contiguous(), cover.clamp(0, 1), generator=rng) / n
     spread = hits * (1 - hits) / (n - 1).clamp_min(1)
