@@ -209,7 +209,7 @@ def embossed(rows: Rows, rng: torch.Generator) -> None:
     """
     size, dev = len(rows.planes), rows.planes.device
     height, width = rows.planes.shape[2:]
-    dice = random(size, 8, rng)[:, :, None, None]
+    dice = random(size, 5, rng)[:, :, None, None]
     panels = pattern(size, height, width, rng)
     bumps = torch.randn(size, 1, 40, 40, generator=rng, device=dev)
     bumps = F.interpolate(bumps, (height, width), mode="bicubic")
@@ -253,7 +253,7 @@ def collaged(rows: Rows, rng: torch.Generator) -> None:
     height, width = rows.planes.shape[2:]
     cover = pattern(size, height, width, rng)
     n = rows.spp.round().clamp_min(1)[:, None, None, None]
-    hits = torch.binomial(n.expand_as(cover).contiguous(), cover.clamp(0, 1), generator=rng) / n
+    hits = torch.binomial(n.expand_as(cover).contiguous(), cover, generator=rng) / n
     spread = hits * (1 - hits) / (n - 1).clamp_min(1)
     behind, front = rows.planes, rows.planes.flip(2, 3)
     planes = torch.lerp(behind, front, hits)
