@@ -12,7 +12,7 @@ part of its layer. Nuke writes the view in front; both are read.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,11 @@ COMPONENTS = frozenset(
     {"R", "G", "B", "A", "RED", "GREEN", "BLUE", "ALPHA", "X", "Y", "Z", "W", "U", "V", "RY", "BY"}
 )
 STEREO = ("left", "right")
+#: What programs call the only view of a file.
+MAIN = "main"
 _PART_VIEW = re.compile(r"^(.*?)[._\- ]?(left|right)$", re.IGNORECASE)
+#: OpenImageIO's name for the first part without one (the next is subimage01).
+_UNNAMED = re.compile(r"subimage0+", re.IGNORECASE)
 _XYZ_NAME = re.compile(r"^(.+?)([xyz])$")
 
 
@@ -110,18 +114,24 @@ def shown(name: str) -> str:
 def _grouped(exr: ExrFile, views: tuple[str, ...]) -> list[_Group]:
     groups: dict[tuple[str, str, int], _Group] = {}
     every = {name for part in exr.parts for name in part.channels}
-    for number, part in enumerate(exr.parts):
-        part_name = shown(part.name or "")
-        part_view = part.view
-        match = _PART_VIEW.match(part_name)
-        if match and match.group(2).lower() in views and len(exr.parts) > 1:
-            part_name = match.group(1)
-            part_view = part_view or match.group(2).lower()
-        for name in part.channels:
-            view, path = _view_and_path(shown(name), part_view, views, every, len(exr.parts) > 1)
-            layer, component = _layer_and_component(path, part.channels)
-            if not layer and len(exr.parts) > 1:
-                layer = "" if part_name.lower() in ("", "main", "default") else part_name
+    several = len(exr.parts) > 1
+    known = views or ((MAIN,) if _all_of_main(exr) else ())
+    for number, (part, (part_name, part_view)) in enumerate(
+        zip(exr.parts, _named_parts(exr, known), strict=True)
+    ):
+        paths = {
+            name: _view_and_path(shown(name), part_view, known, every, part.channels, several)
+            for name in part.channels
+        }
+        beside = {(view, *path) for view, path in paths.values()}
+        for name, (view, path) in paths.items():
+            layer, component = _layer_and_component(view, path, beside)
+            if not layer and several:
+                nameless = part_name.lower() in ("", MAIN, "default") or _UNNAMED.fullmatch(
+                    part_name
+                )
+                layer = "" if nameless else part_name
+            view = view if views else ""
             key = (view, layer, number)
             if key not in groups:
                 groups[key] = _Group(view, layer, number, part_name, {})
@@ -131,13 +141,65 @@ def _grouped(exr: ExrFile, views: tuple[str, ...]) -> list[_Group]:
     return list(groups.values())
 
 
+def _all_of_main(exr: ExrFile) -> bool:
+    """Whether every part (or, in a single part, every channel) carries the view ``main``."""
+    if len(exr.parts) > 1:
+        return all(_without_view(shown(part.name or ""), MAIN) is not None for part in exr.parts)
+    paths = [name.split(".") for part in exr.parts for name in part.channels]
+    return bool(paths) and all(len(path) > 1 and MAIN in (path[0], path[-2]) for path in paths)
+
+
+def _named_parts(exr: ExrFile, views: tuple[str, ...]) -> list[tuple[str, str]]:
+    """Name and view of each part, the view taken off the name.
+
+    A name that is another part's of the same view without it stays whole: there ``RGBA_main``
+    beside ``RGBA`` is a light group.
+    """
+    whole = [(shown(part.name or ""), part.view) for part in exr.parts]
+    if len(exr.parts) == 1:
+        return whole
+    taken, named = set(whole), []
+    for name, own in whole:
+        found = (name, own)
+        for view in (own,) if own else views:
+            rest = _without_view(name, view, in_front=bool(own))
+            if rest is not None and (not rest or (rest, view) not in taken):
+                found = (rest, view)
+                break
+        named.append(found)
+    return named
+
+
+def _without_view(name: str, view: str, in_front: bool = False) -> str | None:
+    """A part's name without the view behind it (or in front of it); None: it has none there."""
+    low, ending = name.lower(), view.lower()
+    if low == ending:
+        return ""
+    for mark in "._- ":
+        if low.endswith(mark + ending):
+            return name[: -len(view) - 1]
+        if in_front and low.startswith(ending + mark):
+            return name[len(view) + 1 :]
+    if ending in STEREO and low.endswith(ending):
+        return name[: -len(view)]
+    return None
+
+
 def _view_and_path(
-    name: str, part_view: str, views: tuple[str, ...], every: set[str], several_parts: bool
+    name: str,
+    part_view: str,
+    views: tuple[str, ...],
+    every: set[str],
+    own: Collection[str],
+    several_parts: bool,
 ) -> tuple[str, list[str]]:
     path = name.split(".")
     for place in (len(path) - 2, 0):
-        if place >= 0 and len(path) > 1 and path[place] in views and path[place] != part_view:
-            return path[place], path[:place] + path[place + 1 :]
+        if place >= 0 and len(path) > 1 and path[place] in views:
+            rest = path[:place] + path[place + 1 :]
+            # In a part of this view it may be a layer's name, beside the channel without it.
+            if path[place] != part_view or ".".join(rest) not in own:
+                return path[place], rest
     if part_view or not views:
         return part_view, path
     if len(path) > 1 or several_parts:
@@ -148,16 +210,35 @@ def _view_and_path(
     return views[0], path
 
 
-def _layer_and_component(path: list[str], names: Iterable[str]) -> tuple[str, str]:
+def _layer_and_component(
+    view: str, path: list[str], beside: set[tuple[str, ...]]
+) -> tuple[str, str]:
     if len(path) > 1:
+        if path[-1].upper() not in COMPONENTS and _all_components(view, path, -2, beside):
+            return ".".join([*path[:-2], path[-1]]), path[-2]  # diffuse.R.001, R.diffuse
         return ".".join(path[:-1]), path[-1]
     name = path[0]
     if name.upper() in COMPONENTS:
         return "", name
     match = _XYZ_NAME.match(name)  # pbrt's Nx, Ny, Nz
-    if match and all(match.group(1) + axis in names for axis in "xyz"):
+    if match and all((view, match.group(1) + axis) in beside for axis in "xyz"):
         return match.group(1), match.group(2)
     return name, ""
+
+
+def _all_components(
+    view: str, path: list[str], place: int, beside: set[tuple[str, ...]]
+) -> bool:
+    """Whether red, green and blue (or X, Y and Z) stand at one place of otherwise equal names."""
+    if path[place].upper() not in COMPONENTS:
+        return False
+    cases = (str.upper, str.lower, str.capitalize)
+    return any(
+        all((view, *path[:place], case(c), *path[len(path) + place + 1 :]) in beside for c in triple)
+        for triples in TRIPLES.values()
+        for triple in triples
+        for case in cases
+    )
 
 
 def _merged(groups: list[_Group], several_parts: bool) -> list[_Group]:
