@@ -29,10 +29,19 @@ def weights(header: Mapping[str, Any]) -> NDArray[np.float32]:
     points = np.array(xy, np.float64).reshape(4, 2)
     if (points[:, 1] == 0).any():
         points = np.array(REC709).reshape(4, 2)
+    amounts = rgb_to_xyz(points)[1]
+    return (amounts / amounts.sum()).astype(np.float32)
+
+
+def rgb_to_xyz(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix ``(3, 3)`` from linear RGB to CIE XYZ.
+
+    ``points`` ``(4, 2)``: x and y of red, green, blue and white; white has Y = 1.
+    """
     # Columns: XYZ of the primaries at Y = 1; solve for the amounts that make white.
     xyz = np.stack([points[:, 0], points[:, 1], 1 - points.sum(axis=1)]) / points[:, 1]
     amounts = np.linalg.solve(xyz[:, :3], xyz[:, 3])
-    return (amounts / amounts.sum()).astype(np.float32)
+    return np.asarray(xyz[:, :3] * amounts)
 
 
 def to_rgb(

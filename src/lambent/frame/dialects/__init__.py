@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from lambent.frame.dialects.choices import asked_for, overridden
+from lambent.frame.dialects.choices import asked_for, joined, overridden
 from lambent.frame.dialects.images import images_of, views_of
 from lambent.frame.dialects.matching import (
     assign,
@@ -62,15 +62,15 @@ def identify(
 ) -> Identified:
     """What the layers of a decoded EXR mean, and why.
 
-    ``overrides``: the user's own ``{role: layer}``, e.g. ``{"albedo": "MyLayer"}``; a choice of
-    colour in another view layer (Blender) makes that one the source of all roles. ``spp``: samples
+    ``overrides``: the user's own ``{role: layer}``, e.g. ``{"albedo": "MyLayer"}`` or channels with
+    commas (``"0,1,2"``); a choice of colour in another view layer (Blender) makes that one the source of all roles. ``spp``: samples
     per pixel where the user knows better than the header.
     Every channel of the file is in exactly one layer, except those an image has beyond its role.
     A file without a colour is no error here: the frame simply has none.
     Raises `UnknownNameError` for an unknown role or layer, `LayerError` where a chosen layer has
     a number of channels that does not suit its role.
     """
-    images = images_of(exr)
+    images = joined(images_of(exr), overrides or {}, exr.path)
     generic = DIALECTS["generic"]
     dialects = {name: DIALECTS[name] for name in DIALECTS if name != "generic"}
     # Plug-ins are asked first: who installs one wants it.
@@ -98,7 +98,7 @@ def identify(
         layers=tuple(layers_found),
         spp=told.get(scope),
         views=views_of(exr),
-        notes=tuple(dict.fromkeys([*_denoised(layers_found), *notes, *more])),
+        notes=tuple(dict.fromkeys([*_denoised(layers_found), *notes, *more, *_cie(layers_found)])),
     )
 
 
@@ -123,3 +123,13 @@ def _denoised(layers: list[Found]) -> list[str]:
                     "taken as the colour."
                 ]
     return []
+
+
+def _cie(layers: list[Found]) -> list[str]:
+    """A remark on each layer of CIE XYZ."""
+    return [
+        f"'{found.name}' holds CIE XYZ; it is filtered as linear RGB (Rec. 709) and written back "
+        "as XYZ."
+        for found in layers
+        if found.cie
+    ]

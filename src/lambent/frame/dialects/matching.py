@@ -145,14 +145,28 @@ def scope_of(image: Image, dialect: Dialect | None) -> tuple[str, str]:
     return scope, name + image.name[len(layer) :]
 
 
-def picked(role: Role, image: Image) -> tuple[tuple[int, str], ...] | None:
-    """The channels of an image that stand for a role, or None where the image cannot."""
+def picked(
+    role: Role, image: Image, stat: Stat = Stat.MEAN, asked: bool = False
+) -> tuple[tuple[int, str], ...] | None:
+    """The channels of an image that stand for a role, or None where the image cannot.
+
+    Where it is ``asked`` for by name, a colour may be one channel of any name, or CIE XYZ (but
+    for a variance, which cannot be converted).
+    """
     if role in (Role.ID, Role.OTHER):
         return image.channels
     for kind, count in KINDS.get(role, REFLECTANCE):
         if image.kind == kind:
             return image.channels[:count]
+    if asked and role is Role.COLOUR:
+        if image.kind == "scalar" or (image.kind == "xyz" and stat is not Stat.VARIANCE):
+            return image.channels
     return None
+
+
+def is_cie(role: Role, image: Image) -> bool:
+    """Whether an image that stands for a role is taken as CIE XYZ."""
+    return role is Role.COLOUR and image.kind == "xyz"
 
 
 def assign(
@@ -191,7 +205,7 @@ def assign(
             for rank, rule in enumerate(table.rules):
                 if not _fits(rule, text, image, beside[image.view, scope]):
                     continue
-                channels = picked(rule.role, image)
+                channels = picked(rule.role, image, rule.stat, asked=rule.cie)
                 if channels is None:
                     continue
                 what = f": {rule.what}" if rule.what else ""
@@ -231,7 +245,7 @@ def _from_rule(
     found = Found(
         rule.role, image.name, channels, rule.stat, space, image.view, why,
         misses(rule.role, rule.miss) if rule.stat is not Stat.VARIANCE else (),
-        factors=rule.factors[: len(channels)],
+        factors=rule.factors[: len(channels)], cie=is_cie(rule.role, image),
     )  # fmt: skip
     if not rule.per_sample:
         return found, ""

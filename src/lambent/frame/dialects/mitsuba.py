@@ -3,7 +3,7 @@
 What it writes is told by the components (``src/integrators/aov.cpp``): ``.R .G .B`` an albedo,
 ``.R .G .B .A`` the image of a nested integrator, ``.T`` a depth (distance from the pinhole, 0 where
 nothing is hit), ``.X .Y .Z`` a position, a normal or a derivative, ``.U .V`` texture coordinates or
-their derivatives, ``.I`` an index. Only the vectors need their name read; a vector with a name of
+their derivatives, ``.I`` an index. A film of the pixel format ``xyz`` is bare ``X Y Z``. Only the vectors need their name read; a vector with a name of
 no meaning stays without role. All vectors are in world space. The first nested image is also
 written as the bare ``R G B``.
 """
@@ -22,6 +22,7 @@ MITSUBA = Dialect(
     names=(r".*\.T", r"dd\.y", r"sh_normal", r"geo_normal", r"(prim|shape)_index"),
     rules=(
         Rule(r"RGB|Y", Role.COLOUR, "the film"),
+        Rule(r"XYZ", Role.COLOUR, "the film, CIE XYZ", cie=True, without=r"RGB|Y"),
         Rule(r".*", Role.DEPTH, "component T: distance from the camera, 0 = nothing hit",
              component="T", miss=(0.0,)),
         Rule(r".*", Role.ID, "component I: index of a shape or triangle", component="I"),

@@ -24,7 +24,7 @@ class Rule:
     ``without``: the rule holds only where no layer of that name is beside it.
     ``per_sample``: the file holds the variance of the samples; divided by spp it is that of the
     mean. ``factors``: what each channel is multiplied with to have the role's unit and direction.
-    ``hint``: text in small letters that every matching name contains; it spares compiling
+    ``cie``: the rule takes CIE XYZ for a colour. ``hint``: text in small letters that every matching name contains; it spares compiling
     patterns that cannot match.
     """
 
@@ -39,6 +39,7 @@ class Rule:
     without: str = ""
     per_sample: bool = False
     factors: tuple[float, ...] = ()
+    cie: bool = False
     hint: str = ""
 
 
@@ -73,7 +74,8 @@ class Found:
     part of the first is ``part``. ``view``: name of the stereo view; ``""`` in a file without
     views, and for layers that all views share. ``miss``: all values that mean "nothing was hit".
     ``scale``: factor from the file's values to the role's unit (variances per sample: 1/spp).
-    ``factors``: the same for each channel of its own (signs of motion); empty: none.
+    ``factors``: the same for each channel of its own (signs of motion); empty: none. ``cie``: the
+    file holds CIE XYZ, the frame linear RGB.
     """
 
     role: Role
@@ -86,6 +88,7 @@ class Found:
     miss: tuple[float, ...] = ()
     scale: float = 1.0
     factors: tuple[float, ...] = ()
+    cie: bool = False
 
     @property
     def part(self) -> int:

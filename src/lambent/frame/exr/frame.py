@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import LayerError, OptionError
+from lambent.frame.cie import rgb_from_xyz, xyz_from_rgb
 from lambent.frame.exr.file import ExrFile, ExrPart
 from lambent.frame.exr.module import enough_memory
 from lambent.frame.exr.write import beyond_half, to_type
@@ -190,6 +191,8 @@ class _Loader:
                 self.done[id(found)] *= np.float32(found.scale)
             if found.factors:
                 self.done[id(found)] *= np.asarray(found.factors, np.float32)
+            if found.cie:
+                self.done[id(found)] = rgb_from_xyz(self.done[id(found)])
 
     def _single(self, found: Found) -> FloatImage | None:
         """A layer that is one kept channel as it stands: no copy."""
@@ -281,6 +284,7 @@ def _place(
         planes = list(from_rgb(image, weights(exr.parts[found.part].header)))
         notes.append(f"'{layer.name}' was converted back to luminance and chroma.")
     else:
+        image = xyz_from_rgb(image) if found.cie else image
         planes = [image[:, :, n] for n in range(image.shape[2])]
     if found.scale != 1.0:
         planes = [plane / np.float32(found.scale) for plane in planes]
