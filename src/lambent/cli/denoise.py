@@ -22,6 +22,7 @@ from lambent.cli.options import (
     MapOption,
     ModelOption,
     SetOption,
+    SppOption,
     pairs,
     print_json,
 )
@@ -84,12 +85,19 @@ def denoise(
         typer.Option(metavar="1-50", help="Frames of a sequence: 1-50, 1-50x2 or 1,3,7."),
     ] = None,
     albedo: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The layer that holds the albedo.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="The layer that holds the albedo, or a file: albedo.####.exr."
+        ),
     ] = None,
     normal: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The layer that holds the normals.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="The layer that holds the normals, or a file: normal.####.exr."
+        ),
     ] = None,
     mapping: MapOption = None,
+    spp: SppOption = None,
     setting: SetOption = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write one HTML page of before and after.")
@@ -128,6 +136,7 @@ def denoise(
         roles=pairs("--map", mapping),
         albedo=albedo,
         normal=normal,
+        spp=spp,
         max_memory=max_memory,
         threads=threads,
         device=device,
@@ -163,6 +172,7 @@ def _run_one(
         )
     target = files.output_for(source, output)
     files.check_output(source, target, overwrite or dry_run, folder=output)
+    files.check_guides(source, target, settings)
     extras.check(target, overwrite or dry_run)
     if dry_run:
         plan = files.outline(source, target, settings)
@@ -327,7 +337,9 @@ def _print_many_plan(
 ) -> None:
     from lambent.denoise import files
 
-    first = files.outline(todo[0].source, todo[0].output, settings) if todo else None
+    first = None
+    if todo:
+        first = files.outline(todo[0].source, todo[0].output, settings, todo[0].number)
     if as_json:
         print_json(
             {

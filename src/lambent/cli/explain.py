@@ -17,6 +17,7 @@ from lambent.cli.options import (
     MapOption,
     ModelOption,
     SetOption,
+    SppOption,
     pairs,
     print_json,
 )
@@ -46,6 +47,7 @@ def explain(
         ),
     ] = None,
     mapping: MapOption = None,
+    spp: SppOption = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="PICTURE.png", help="Write the weights as a PNG."),
@@ -80,7 +82,7 @@ def explain(
         )
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
-        noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None))
+        noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))
         truth = None if reference is None else read(reference).colour
         progress.report(0, 1, f"weights of {model}")
         found = find_weights(noisy, denoiser, x, y, reference=truth)

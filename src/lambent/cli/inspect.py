@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import JsonOption, MapOption, pairs, print_json
+from lambent.cli.options import JsonOption, MapOption, SppOption, pairs, print_json
 from lambent.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ EPILOG = "Example: lambent inspect noisy.exr --map albedo=tex"
 def inspect(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF or HDR.")],
     mapping: MapOption = None,
+    spp: SppOption = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write one HTML page, beside FILE unless -o says.")
     ] = False,
@@ -51,10 +52,10 @@ def inspect(
         )
     with Progress(file.name, quiet=as_json) as progress:
         progress.report(0, 1, "inspecting")
-        found = inspect_file(file, roles)
+        found = inspect_file(file, roles, spp)
         if page is not None:
             progress.report(0, 1, "writing the page")
-            _write_page(page, found, roles)
+            _write_page(page, found, roles, spp)
     if as_json:
         print_json({**found.as_dict(), "report": None if page is None else str(page)})
         return
@@ -66,13 +67,15 @@ def inspect(
 # ------------------------------------------------------------------- private
 
 
-def _write_page(page: Path, found: Inspection, roles: dict[str, str] | None) -> None:
+def _write_page(
+    page: Path, found: Inspection, roles: dict[str, str] | None, spp: int | None
+) -> None:
     from lambent.frame.files import read
     from lambent.frame.role import Role
     from lambent.report import write_inspection
 
     pictures: dict[str, Any] = {}
-    for layer in read(found.path, roles=roles).all_layers():
+    for layer in read(found.path, roles=roles, spp=spp).all_layers():
         if layer.role not in (Role.ID, Role.OTHER) and layer.data.shape[2] in (1, 3):
             pictures[layer.name] = layer.data
     write_inspection(page, found.as_dict(), pictures)

@@ -45,9 +45,14 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="ROLE=LAYER",
-        help="Say yourself which layer has a role: --map albedo=tex. Repeatable.",
+        help="Say yourself which layer has a role: --map albedo=tex, --map colour=0,1,2; or, for a "
+        "guide, which file: --map depth=depth.exr. Repeatable.",
         autocompletion=complete_roles,
     ),
+]
+SppOption = Annotated[
+    int | None,
+    typer.Option("--spp", metavar="N", help="Samples per pixel, where the file does not tell."),
 ]
 SetOption = Annotated[
     list[str] | None,

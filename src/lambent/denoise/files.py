@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -138,18 +139,52 @@ def denoise_file(
     source = Path(source)
     target = output_for(source, output)
     check_output(source, target, overwrite, folder=output)
+    check_guides(source, target, settings)
     if progress is not None:
         progress(0, 1, "reading")
     return save(process(load(source, settings), settings, progress), target, settings, overwrite)
 
 
-def load(source: Path, settings: Settings) -> Loaded:
-    """Read all views of a file. Raises `FileError` and its kinds."""
+def load(source: Path, settings: Settings, number: int | None = None) -> Loaded:
+    """Read all views of a file, and guides that have files of their own.
+
+    ``number``: of the frame, for guides named by a pattern; None: the last number in its name.
+    Raises `FileError` and its kinds.
+    """
     from lambent.frame.files import read_views
 
     start = time.perf_counter()
-    views = read_views(source, roles=settings.roles or None)
+    roles = roles_of(source, settings, number)
+    views = read_views(source, roles=roles or None, spp=settings.spp)
     return Loaded(source, views, time.perf_counter() - start)
+
+
+def roles_of(source: Path, settings: Settings, number: int | None = None) -> dict[str, str]:
+    """The choices of layers and guide files for one frame. Raises `OptionError`."""
+    from lambent.frame.guides import numbered
+
+    return numbered(settings.roles, number if number is not None else number_of(source), source)
+
+
+def number_of(path: Path) -> int | None:
+    """The last number in a file's name."""
+    found = re.findall(r"\d+", path.stem)
+    return int(found[-1]) if found else None
+
+
+def check_guides(source: Path, output: Path, settings: Settings, number: int | None = None) -> None:
+    """Refuse guide files that are not there, or that the output would replace."""
+    from lambent.frame.guides import paths
+
+    for path in paths(roles_of(source, settings, number)):
+        if not path.is_file():
+            raise FileError(
+                "there is no such file", file=path, remedy="check the guide's name; it is a file's"
+            )
+        if output.exists() and output.samefile(path):
+            raise OutputError(
+                "the output is the file of a guide", file=output, remedy="write elsewhere with -o"
+            )
 
 
 def process(
@@ -178,7 +213,7 @@ def process(
         tiles=first.plan.describe() if first.plan else "",
         seconds=seconds,
     )
-    frames = {name: _released(one.frame) for name, one in cleaned.items()}
+    frames = {name: _released(_without_guides(one.frame)) for name, one in cleaned.items()}
     return Processed(loaded.source, frames, loaded.views if keep else {}, result)
 
 
@@ -253,9 +288,13 @@ def check_output(
         )
 
 
-def outline(source: Path, output: Path, settings: Settings) -> dict[str, Any]:
+def outline(
+    source: Path, output: Path, settings: Settings, number: int | None = None
+) -> dict[str, Any]:
     """What `denoise_file` would do, for ``--dry-run``: roles, layers, output, tiles."""
-    loaded = load(source, settings)
+    from lambent.frame.guides import is_guide
+
+    loaded = load(source, settings, number)
     views = {}
     for name, frame in loaded.views.items():
         denoiser = settings.denoiser()
@@ -274,7 +313,7 @@ def outline(source: Path, output: Path, settings: Settings) -> dict[str, Any]:
             "untouched": sorted(
                 layer.name
                 for layer in frame.all_layers()
-                if layer.name not in {c.name for c in chosen}
+                if layer.name not in {c.name for c in chosen} and not is_guide(layer)
             ),
             "width": frame.width,
             "height": frame.height,
@@ -317,6 +356,13 @@ def _released(frame: Frame) -> Frame:
         layers={key: fresh(layer) for key, layer in frame.layers.items()},
         extras={name: fresh(layer) for name, layer in frame.extras.items()},
     )
+
+
+def _without_guides(frame: Frame) -> Frame:
+    """The frame without layers of other files: they were looked at and are not written."""
+    from lambent.frame.guides import is_guide
+
+    return frame.replace(layers={k: v for k, v in frame.layers.items() if not is_guide(v)})
 
 
 def _unique(items: Any) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ from lambent.filters.denoiser import (
     parameters,
 )
 from lambent.frame.frame import Frame
+from lambent.frame.guides import split
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat, parse_role
 
@@ -73,8 +74,8 @@ class Settings:
 
     ``passes``: ``"beauty"``, ``"all"`` or names. ``strength`` in [0, 1]. ``keep_light``: give light
     that was lost back to where it was lost (`denoise.light`). ``alpha``: filter the
-    coverage too, or None for "where it is noisy". ``roles``: role to layer name, as in ``--map``.
-    ``max_memory`` in bytes, for the whole process. ``threads``: None for all. ``params``: of the
+    coverage too, or None for "where it is noisy". ``roles``: role to layer name or guide file, as
+    in ``--map``. ``spp``: samples per pixel, None for what the file tells. ``max_memory`` in bytes, for the whole process. ``threads``: None for all. ``params``: of the
     model.
     """
 
@@ -84,6 +85,7 @@ class Settings:
     keep_light: bool = False
     alpha: bool | None = None
     roles: Mapping[str, str] = field(default_factory=dict)
+    spp: int | None = None
     max_memory: int | None = None
     threads: int | None = None
     device: str = "auto"
@@ -98,8 +100,9 @@ class Settings:
         keep_light: bool = False,
         alpha: bool | None = None,
         roles: Mapping[str, str] | None = None,
-        albedo: str | None = None,
-        normal: str | None = None,
+        albedo: str | Path | None = None,
+        normal: str | Path | None = None,
+        spp: int | None = None,
         max_memory: str | int | None = None,
         threads: int | None = None,
         device: str = "auto",
@@ -123,13 +126,16 @@ class Settings:
             raise OptionError(
                 f"{threads} threads cannot work", remedy="give 1 or more, or leave it out for all"
             )
-        chosen = dict(roles or {})
+        if spp is not None and spp < 1:
+            raise OptionError(f"{spp} samples per pixel make no sense", remedy="give 1 or more")
+        chosen = {role: str(name) for role, name in (roles or {}).items()}
         if albedo is not None:
-            chosen["albedo"] = albedo
+            chosen["albedo"] = str(albedo)
         if normal is not None:
-            chosen["normal"] = normal
+            chosen["normal"] = str(normal)
         for role in chosen:
             parse_role(role)
+        split(chosen)
         settings = cls(
             model=model,
             passes=passes if isinstance(passes, str) else tuple(passes),
@@ -137,6 +143,7 @@ class Settings:
             keep_light=keep_light,
             alpha=alpha,
             roles=chosen,
+            spp=spp,
             max_memory=None if max_memory is None else parse_size(max_memory),
             threads=threads,
             device=device,
@@ -164,6 +171,7 @@ class Settings:
             **({"keep_light": True} if self.keep_light else {}),
             "alpha": self.alpha,
             "roles": dict(sorted(self.roles.items())),
+            **({"spp": self.spp} if self.spp is not None else {}),
             "params": {name: str(value) for name, value in sorted(self.params.items())},
         }
 
@@ -193,6 +201,7 @@ def denoise(
     roles: Mapping[str, str] | None = None,
     albedo: Any = None,
     normal: Any = None,
+    spp: int | None = None,
     max_memory: str | int | None = None,
     threads: int | None = None,
     device: str = "auto",
@@ -204,9 +213,10 @@ def denoise(
     ``model`` and its ``params`` as listed by ``lambent models``. ``passes``: ``"beauty"``,
     ``"all"`` lighting layers, or names. ``strength`` blends from the input (0) to the result (1).
     ``keep_light``: the light of fireflies, which every filter loses, goes to their surroundings.
-    ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: with a
-    file, names of layers; with an array, arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
-    ``roles``: role to layer name. ``max_memory``: bytes, or text such as ``"4G"``.
+    ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: names of
+    layers, files (``"albedo.exr"``), or arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
+    ``roles``: role to layer name, or to a file for any guide. ``spp``: samples per pixel.
+    ``max_memory``: bytes, or text such as ``"4G"``.
     ``threads``: of the engine; Dr.Jit has one pool, so its limit stays until another is set.
 
     Returns the whole frame with the filtered layers replaced. Raises `lambent.LambentError` and
@@ -215,7 +225,11 @@ def denoise(
         clean = lambent.denoise("noisy.exr", strength=0.9)
         lambent.write("clean.exr", clean)
     """
-    named = isinstance(thing, (str, Path))
+    arrays = {
+        role: given
+        for role, given in ((Role.ALBEDO, albedo), (Role.NORMAL, normal))
+        if given is not None and not isinstance(given, (str, Path))
+    }
     settings = Settings.checked(
         model=model,
         passes=passes,
@@ -223,14 +237,15 @@ def denoise(
         keep_light=keep_light,
         alpha=alpha,
         roles=roles,
-        albedo=albedo if named else None,
-        normal=normal if named else None,
+        albedo=None if Role.ALBEDO in arrays else albedo,
+        normal=None if Role.NORMAL in arrays else normal,
+        spp=spp,
         max_memory=max_memory,
         threads=threads,
         device=device,
         params=params,
     )
-    frame = _as_frame(thing, settings, albedo, normal)
+    frame = _as_frame(thing, settings, arrays)
     return clean(frame, settings, progress=progress).frame
 
 
@@ -377,15 +392,24 @@ class _Stages:
         self._last = now
 
 
-def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame:
-    if isinstance(thing, Frame):
-        if isinstance(albedo, str) or isinstance(normal, str) or settings.roles:
-            return _remap(thing, settings.roles, albedo, normal)
-        return _with_guides(thing, albedo, normal)
+def _as_frame(thing: Any, settings: Settings, arrays: Mapping[Role, Any]) -> Frame:
     if isinstance(thing, (str, Path)):
+        from lambent.denoise.files import roles_of
         from lambent.frame.files import read
 
-        return read(thing, roles=settings.roles or None)
+        roles = roles_of(Path(thing), settings)
+        frame = read(thing, roles=roles or None, spp=settings.spp)
+    else:
+        frame = thing if isinstance(thing, Frame) else _of_array(thing)
+        if settings.spp is not None:
+            frame = frame.replace(spp=settings.spp)
+        frame = _remap(frame, settings)
+    for role, image in arrays.items():
+        frame = frame.with_layer(Layer(role, np.asarray(image)))
+    return frame.checked() if arrays else frame
+
+
+def _of_array(thing: Any) -> Frame:
     image = np.asarray(thing)
     if image.dtype == object or image.ndim not in (2, 3):
         raise OptionError(
@@ -398,30 +422,18 @@ def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame
             remedy="for display values: lambent.frame.tonemap.inverse_srgb(array / 255)",
         )
     if image.ndim == 3 and image.shape[2] == 4:
-        frame = Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
-    else:
-        frame = Frame.from_arrays(colour=image)
-    return _with_guides(frame, albedo, normal)
+        return Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
+    return Frame.from_arrays(colour=image)
 
 
-def _with_guides(frame: Frame, albedo: Any, normal: Any) -> Frame:
-    for role, image in ((Role.ALBEDO, albedo), (Role.NORMAL, normal)):
-        if image is not None:
-            frame = frame.with_layer(Layer(role, np.asarray(image)))
-    return frame.checked()
+def _remap(frame: Frame, settings: Settings) -> Frame:
+    """Give layers of a frame in memory other roles, by their names; guides from their files."""
+    from lambent.frame.files import read_views
+    from lambent.frame.guides import attach
 
-
-def _remap(frame: Frame, roles: Mapping[str, str], albedo: Any, normal: Any) -> Frame:
-    """Give layers of a frame in memory other roles, by their names."""
-    wanted = dict(roles)
-    arrays: dict[str, Any] = {}
-    for name, given in (("albedo", albedo), ("normal", normal)):
-        if isinstance(given, str):
-            wanted[name] = given
-        elif given is not None:
-            arrays[name] = given
+    own, guides = split(settings.roles)
     by_name = {layer.name: layer for layer in frame.all_layers()}
-    for role_name, layer_name in wanted.items():
+    for role_name, layer_name in own.items():
         role, stat = parse_role(role_name)
         if layer_name not in by_name:
             raise LayerError(
@@ -433,7 +445,11 @@ def _remap(frame: Frame, roles: Mapping[str, str], albedo: Any, normal: Any) -> 
         source = by_name[layer_name]
         mapped = Layer(role, source.data, stat=stat, name=layer_name, source=source.source)
         frame = frame.replace(layers={**frame.layers, (role, stat): mapped})
-    return _with_guides(frame, arrays.get("albedo"), arrays.get("normal"))
+    return attach(
+        {frame.view: frame},
+        guides,
+        lambda path, roles: read_views(path, roles=roles, spp=settings.spp),
+    )[frame.view]
 
 
 def _light_note(before: FloatImage, after: FloatImage) -> tuple[str, ...]:

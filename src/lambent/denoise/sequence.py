@@ -30,7 +30,9 @@ from lambent.denoise.files import (
     default_output,
     load,
     make_folder,
+    number_of,
     process,
+    roles_of,
     save,
 )
 from lambent.denoise.pipeline import Settings
@@ -131,7 +133,7 @@ def listed_jobs(sources: Sequence[str | Path], output: str | Path | None = None)
         else:
             target = Path(output) / path.name
             _refuse_file_as_folder(Path(output), "many files cannot go into one file")
-        jobs.append(Job(_number(path), path, target))
+        jobs.append(Job(number_of(path), path, target))
     return jobs
 
 
@@ -139,7 +141,8 @@ def state_of(job: Job, settings: Settings) -> State:
     """Whether a frame is finished, and if not, why."""
     if not job.output.exists():
         return State.TODO
-    older = job.output.stat().st_mtime < job.source.stat().st_mtime
+    inputs = [job.source, *(path for path in _guides(job, settings) if path.is_file())]
+    older = job.output.stat().st_mtime < max(path.stat().st_mtime for path in inputs)
     if job.output.suffix.lower() != ".exr":
         return State.OUTDATED if older else State.FINISHED
     found = read_stamp(job.output)
@@ -169,12 +172,23 @@ def sort_out(
     """(jobs to do, jobs already finished).
 
     Raises `OutputError` before any work where files would be replaced that the user did not allow
-    to: results of other settings, and files that are not ours.
+    to: results of other settings, files that are not ours, and the frames' guides. A guide's file
+    that lies among the frames is no job.
     """
     todo: list[Job] = []
     finished: list[Job] = []
     blocked: dict[State, list[Job]] = {}
+    jobs = list(jobs)
+    guides = {path.resolve() for job in jobs for path in _guides(job, settings)}
     for job in jobs:
+        if job.source.resolve() in guides:
+            continue  # a guide that lies among the frames
+        if job.output.resolve() in guides:
+            raise OutputError(
+                "the output is the file of a guide",
+                file=job.output,
+                remedy="write elsewhere with -o NAME",
+            )
         state = State.TODO if overwrite else state_of(job, settings)
         if state is State.FINISHED:
             finished.append(job)
@@ -323,7 +337,7 @@ class _Line:
             if self._stopped.is_set():
                 break
             try:
-                what: Loaded | BaseException = load(job.source, self._settings)
+                what: Loaded | BaseException = load(job.source, self._settings, job.number)
             except BaseException as error:  # handed to the filtering thread, which decides
                 what = error
             self._read.put((job, what))
@@ -349,21 +363,23 @@ class _Line:
                 del item, processed
 
 
+def _guides(job: Job, settings: Settings) -> list[Path]:
+    """The files of a frame's guides."""
+    from lambent.frame.guides import paths
+
+    return paths(roles_of(job.source, settings, job.number))
+
+
 def _folder_jobs(folder: Path, output: str | Path | None) -> list[Job]:
     target = Path(output) if output is not None else folder.with_name(folder.name + SUFFIX)
     _refuse_file_as_folder(target, "the input is a directory, so the output must be one too")
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".exr" and p.is_file())
-    return [Job(_number(path), path, target / path.name) for path in files]
+    return [Job(number_of(path), path, target / path.name) for path in files]
 
 
 def _refuse_file_as_folder(target: Path, why: str) -> None:
     if target.suffix.lower() in _IMAGE_SUFFIXES or target.is_file():
         raise OutputError(why, file=target, remedy="give -o a directory")
-
-
-def _number(path: Path) -> int | None:
-    found = re.findall(r"\d+", path.stem)
-    return int(found[-1]) if found else None
 
 
 def _output_for(

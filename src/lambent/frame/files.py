@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lambent.errors import FileError, LayerError, OptionError, OutputError
 from lambent.frame.frame import Frame
@@ -18,6 +19,9 @@ from lambent.frame.layer import Layer
 from lambent.frame.magic import kind_of
 from lambent.frame.origin import Origin
 from lambent.frame.role import Role, Space
+
+if TYPE_CHECKING:
+    from lambent.frame.guides import Reader
 
 #: Ending -> kind of file that `write` makes.
 ENDINGS = {
@@ -52,20 +56,27 @@ def read(
     """The frame in a file: EXR, PNG, JPEG, TIFF or Radiance HDR.
 
     ``view``: of a stereo EXR, by name; None is the main one. ``roles``: the user's own
-    ``{role: layer}``. ``spp``: samples per pixel, where the file does not tell.
+    ``{role: layer}``; channels with commas, and guides in files of their own
+    (`lambent.frame.guides`). ``spp``: samples per pixel, where the file does not tell.
     Display-referred images become linear, with a note. Layers of an EXR are decoded when they are
     looked at. Raises `FileError`, `DamagedFileError`, `DeepFileError`, `UnknownNameError`,
     `LayerError`, `OptionError`.
     """
-    path = Path(path)
-    if _kind(path) != "exr":
-        return _read_image(path, view, roles, spp)
-    from lambent.frame.dialects import identify
-    from lambent.frame.exr import decode
-    from lambent.frame.exr.frame import frame_of
+    from lambent.frame.guides import attach, split
 
-    exr = decode(path)
-    return frame_of(exr, identify(exr, roles, spp), view, spp, roles)
+    path = Path(path)
+    own, guides = split(roles)
+    _check_spp(spp)
+    if _kind(path) != "exr":
+        frame = _read_image(path, view, own, spp)
+    else:
+        from lambent.frame.dialects import identify
+        from lambent.frame.exr import decode
+        from lambent.frame.exr.frame import frame_of
+
+        exr = decode(path)
+        frame = frame_of(exr, identify(exr, own, spp), view, spp, own)
+    return attach({frame.view: frame}, guides, _reader(spp))[frame.view]
 
 
 def read_views(
@@ -75,17 +86,32 @@ def read_views(
     spp: int | None = None,
 ) -> dict[str, Frame]:
     """Every stereo view of a file as a frame, the main one first; ``{"": frame}`` if only one."""
-    path = Path(path)
-    if _kind(path) != "exr":
-        return {"": _read_image(path, None, roles, spp)}
-    from lambent.frame.dialects import identify
-    from lambent.frame.exr import decode
-    from lambent.frame.exr.frame import frame_of
+    from lambent.frame.guides import attach, split
 
-    exr = decode(path)
-    identified = identify(exr, roles, spp)
-    views = identified.views or ("",)
-    return {view: frame_of(exr, identified, view, spp, roles) for view in views}
+    path = Path(path)
+    own, guides = split(roles)
+    _check_spp(spp)
+    if _kind(path) != "exr":
+        frames = {"": _read_image(path, None, own, spp)}
+    else:
+        from lambent.frame.dialects import identify
+        from lambent.frame.exr import decode
+        from lambent.frame.exr.frame import frame_of
+
+        exr = decode(path)
+        identified = identify(exr, own, spp)
+        views = identified.views or ("",)
+        frames = {view: frame_of(exr, identified, view, spp, own) for view in views}
+    return attach(frames, guides, _reader(spp))
+
+
+def _reader(spp: int | None) -> Reader:
+    return lambda path, roles: read_views(path, roles=roles, spp=spp)
+
+
+def _check_spp(spp: int | None) -> None:
+    if spp is not None and (isinstance(spp, bool) or not 1 <= spp < 10**9):
+        raise OptionError(f"{spp} samples per pixel make no sense", remedy="give 1 or more")
 
 
 def write(

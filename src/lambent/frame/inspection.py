@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from lambent.frame.dialects.images import shown
 from lambent.frame.frame import Frame
+from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Space, Stat
 from lambent.frame.sums import LayerSum, layer_sums
 from lambent.frame.suspicion import LOSSY, Suspicion, suspicions
@@ -115,25 +116,30 @@ class Inspection:
 
 
 def inspect_file(
-    path: str | os.PathLike[str], roles: Mapping[str, str] | None = None
+    path: str | os.PathLike[str],
+    roles: Mapping[str, str] | None = None,
+    spp: int | None = None,
 ) -> Inspection:
-    """Read a whole file and report on it. ``roles``: the user's own ``{role: layer}``.
+    """Read a whole file and report on it. ``roles``: the user's own ``{role: layer}``, or files.
 
+    ``spp``: samples per pixel, where the file does not tell.
     Raises `FileError`, `DamagedFileError`, `DeepFileError`, `UnknownNameError`, `LayerError`.
     """
     from lambent.frame.files import read_views
+    from lambent.frame.guides import is_guide, split
 
     path = Path(path)
-    frames = read_views(path, roles=roles)
+    frames = read_views(path, roles=roles, spp=spp)
     main = next(iter(frames.values()))
     if main.origin is None or main.origin.kind != "exr":
         return _of_image(path, main)
     from lambent.frame.dialects import identify
 
     exr: ExrFile = main.origin.payload.exr
-    identified = identify(exr, roles)
+    identified = identify(exr, split(roles)[0], spp)
     # Measured first: this decodes every part once and keeps it, so that frames only copy.
     layers = tuple(_layer(exr, layer) for layer in identified.layers)
+    layers += tuple(_of_layer(layer) for layer in main.all_layers() if is_guide(layer))
     found = [s for view, frame in frames.items() for s in _seen(frame, view, main.view)]
     window = exr.parts[_first(identified).part].data_window if identified.layers else None
     return Inspection(
@@ -144,7 +150,7 @@ def inspect_file(
         height=0 if window is None else window[3] - window[1] + 1,
         dialect=identified.dialect,
         dialect_why=identified.why,
-        spp=identified.spp,
+        spp=spp if spp is not None else identified.spp,
         views=identified.views,
         parts=tuple(_part(part) for part in exr.parts),
         layers=layers,
@@ -262,24 +268,26 @@ def _lossy(exr: ExrFile, identified: Identified) -> list[Suspicion]:
     return found
 
 
+def _of_layer(layer: Layer) -> LayerReport:
+    """A layer that is no EXR's of this file: of a picture, or of a guide's file."""
+    return LayerReport(
+        layer.name,
+        layer.role,
+        layer.stat,
+        layer.space or Space.NONE,
+        "",
+        layer.why,
+        0,
+        tuple(("XYZ" if layer.role is Role.NORMAL else "RGBA")[: layer.data.shape[2]]),
+        layer.data.shape[1],
+        layer.data.shape[0],
+        **_measured([layer.data]),
+    )
+
+
 def _of_image(path: Path, frame: Frame) -> Inspection:
     """PNG, JPEG, TIFF, HDR: one picture."""
-    layers = tuple(
-        LayerReport(
-            layer.name,
-            layer.role,
-            layer.stat,
-            layer.space or Space.NONE,
-            "",
-            layer.why,
-            0,
-            tuple("RGBA"[: layer.data.shape[2]]),
-            layer.data.shape[1],
-            layer.data.shape[0],
-            **_measured([layer.data]),
-        )
-        for layer in frame.all_layers()
-    )
+    layers = tuple(_of_layer(layer) for layer in frame.all_layers())
     return Inspection(
         path=str(path),
         format=frame.origin.kind if frame.origin is not None else "",

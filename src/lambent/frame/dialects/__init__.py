@@ -63,8 +63,8 @@ def identify(
     """What the layers of a decoded EXR mean, and why.
 
     ``overrides``: the user's own ``{role: layer}``, e.g. ``{"albedo": "MyLayer"}`` or channels with
-    commas (``"0,1,2"``); a choice of colour in another view layer (Blender) makes that one the source of all roles. ``spp``: samples
-    per pixel where the user knows better than the header.
+    commas (``"0,1,2"``); a choice of colour in another view layer (Blender) makes that one the
+    source of all roles. ``spp``: samples per pixel where the user knows better than the header.
     Every channel of the file is in exactly one layer, except those an image has beyond its role.
     A file without a colour is no error here: the frame simply has none.
     Raises `UnknownNameError` for an unknown role or layer, `LayerError` where a chosen layer has

@@ -16,7 +16,6 @@ from lambent.frame.dialects.matching import Match, is_cie, picked
 from lambent.frame.dialects.table import Found, misses
 from lambent.frame.role import INFO, Role, Stat, parse_role
 
-
 #: Kind of an image of so many channels that the user joined.
 _KINDS = {1: "scalar", 2: "xy", 3: "rgb", 4: "xyzw"}
 
@@ -64,7 +63,12 @@ def _joined(images: list[Image], role: str, names: list[str], file: object) -> l
                 own = name.rpartition(".")[2]
                 rest.append(
                     replace(
-                        image, name=name, kind="scalar", channels=(channel,), component=own, alpha=None
+                        image,
+                        name=name,
+                        kind="scalar",
+                        channels=(channel,),
+                        component=own,
+                        alpha=None,
                     )
                 )
     # In front, so that a colour comes before its alpha.

@@ -226,15 +226,15 @@ def _layer_and_component(
     return name, ""
 
 
-def _all_components(
-    view: str, path: list[str], place: int, beside: set[tuple[str, ...]]
-) -> bool:
+def _all_components(view: str, path: list[str], place: int, beside: set[tuple[str, ...]]) -> bool:
     """Whether red, green and blue (or X, Y and Z) stand at one place of otherwise equal names."""
     if path[place].upper() not in COMPONENTS:
         return False
     cases = (str.upper, str.lower, str.capitalize)
     return any(
-        all((view, *path[:place], case(c), *path[len(path) + place + 1 :]) in beside for c in triple)
+        all(
+            (view, *path[:place], case(c), *path[len(path) + place + 1 :]) in beside for c in triple
+        )
         for triples in TRIPLES.values()
         for triple in triples
         for case in cases

@@ -158,9 +158,9 @@ def picked(
     for kind, count in KINDS.get(role, REFLECTANCE):
         if image.kind == kind:
             return image.channels[:count]
-    if asked and role is Role.COLOUR:
-        if image.kind == "scalar" or (image.kind == "xyz" and stat is not Stat.VARIANCE):
-            return image.channels
+    cie = image.kind == "xyz" and stat is not Stat.VARIANCE
+    if asked and role is Role.COLOUR and (image.kind == "scalar" or cie):
+        return image.channels
     return None
 
 

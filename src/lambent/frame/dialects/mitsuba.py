@@ -3,9 +3,9 @@
 What it writes is told by the components (``src/integrators/aov.cpp``): ``.R .G .B`` an albedo,
 ``.R .G .B .A`` the image of a nested integrator, ``.T`` a depth (distance from the pinhole, 0 where
 nothing is hit), ``.X .Y .Z`` a position, a normal or a derivative, ``.U .V`` texture coordinates or
-their derivatives, ``.I`` an index. A film of the pixel format ``xyz`` is bare ``X Y Z``. Only the vectors need their name read; a vector with a name of
+their derivatives, ``.I`` an index. Only the vectors need their name read; a vector with a name of
 no meaning stays without role. All vectors are in world space. The first nested image is also
-written as the bare ``R G B``.
+written as the bare ``R G B``. A film of the pixel format ``xyz`` is the bare ``X Y Z``, of CIE.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ class Rule:
     ``without``: the rule holds only where no layer of that name is beside it.
     ``per_sample``: the file holds the variance of the samples; divided by spp it is that of the
     mean. ``factors``: what each channel is multiplied with to have the role's unit and direction.
-    ``cie``: the rule takes CIE XYZ for a colour. ``hint``: text in small letters that every matching name contains; it spares compiling
-    patterns that cannot match.
+    ``cie``: the rule takes CIE XYZ for a colour. ``hint``: text in small letters that every
+    matching name contains; it spares compiling patterns that cannot match.
     """
 
     pattern: str
