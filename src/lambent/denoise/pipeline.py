@@ -75,8 +75,8 @@ class Settings:
     ``passes``: ``"beauty"``, ``"all"`` or names. ``strength`` in [0, 1]. ``keep_light``: give light
     that was lost back to where it was lost (`denoise.light`). ``alpha``: filter the
     coverage too, or None for "where it is noisy". ``roles``: role to layer name or guide file, as
-    in ``--map``. ``spp``: samples per pixel, None for what the file tells. ``max_memory`` in bytes, for the whole process. ``threads``: None for all. ``params``: of the
-    model.
+    in ``--map``. ``spp``: samples per pixel, None for what the file tells. ``max_memory`` in
+    bytes, for the whole process. ``threads``: None for all. ``params``: of the model.
     """
 
     model: str = DEFAULT_MODEL
