@@ -178,9 +178,7 @@ def check_guides(source: Path, output: Path, settings: Settings, number: int | N
 
     for path in paths(roles_of(source, settings, number)):
         if not path.is_file():
-            raise FileError(
-                "there is no such file", file=path, remedy="check the guide's name; it is a file's"
-            )
+            raise FileError("there is no such file", file=path, remedy="check the guide's name")
         if output.exists() and output.samefile(path):
             raise OutputError(
                 "the output is the file of a guide", file=output, remedy="write elsewhere with -o"

@@ -2,8 +2,9 @@
 
 Where a choice ``role=NAME`` has the ending of a picture, NAME is a file: ``albedo=albedo.exr``, or
 ``albedo=passes.exr:base`` for one layer of several. Of the file is taken the layer that has the
-role there, or its only picture. It must cover the pixels of the colour, by its data window; what it
-has beyond them is cut off. Such a layer is looked at and never written.
+role there, or its only picture. It must have the pixels of the colour, by its data window; an
+overscan beyond them, in the same display window, is cut off. Such a layer is looked at and never
+written.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def attach(
             raise FileError(
                 "there is no such file",
                 file=path,
-                remedy=f"it is named by {name}={text}; a layer's name has no such ending",
+                remedy=f"check the guide's name ({name}={text})",
             )
         others = read(path, {name: layer} if layer else {})
         for view, frame in result.items():
@@ -212,15 +213,17 @@ def _channels(layer: Layer, role: Role, path: Path) -> int:
 
 def _cut(frame: Frame, other: Frame, layer: Layer, path: Path) -> tuple[slice, slice]:
     """Rows and columns of the guide that lie on the colour's pixels."""
-    ours, theirs = _window(frame), _window(other, layer)
-    if not (
+    ours, display = _windows(frame)
+    theirs, other_display = _windows(other, layer)
+    covers = (
         theirs[0] <= ours[0]
         and theirs[1] <= ours[1]
         and theirs[2] >= ours[2]
         and theirs[3] >= ours[3]
-    ):
+    )
+    if theirs != ours and not (covers and display == other_display):
         raise LayerError(
-            f"its pixels, {_shown(theirs)}, do not cover those of the frame, {_shown(ours)}",
+            f"its pixels, {_shown(theirs)}, are not those of the frame, {_shown(ours)}",
             file=path,
             layer=layer.name,
             remedy="render the guide with the size and the crop of the frame",
@@ -232,14 +235,14 @@ def _cut(frame: Frame, other: Frame, layer: Layer, path: Path) -> tuple[slice, s
     )
 
 
-def _window(frame: Frame, layer: Layer | None = None) -> Window:
-    """The data window ``(x0, y0, x1, y1)``; of a picture without one, its size."""
-    window = getattr(frame.origin.payload if frame.origin else None, "window", None)
-    if window is not None:
-        return (int(window[0]), int(window[1]), int(window[2]), int(window[3]))
-    if layer is None:
-        return (0, 0, frame.width - 1, frame.height - 1)
-    return (0, 0, layer.data.shape[1] - 1, layer.data.shape[0] - 1)
+def _windows(frame: Frame, layer: Layer | None = None) -> tuple[Window, Window]:
+    """Data and display window ``(x0, y0, x1, y1)``; of a picture without, its size twice."""
+    payload = frame.origin.payload if frame.origin else None
+    window, exr = getattr(payload, "window", None), getattr(payload, "exr", None)
+    if window is not None and exr is not None:
+        return tuple(window), tuple(exr.parts[0].display_window)
+    height, width = (frame.height, frame.width) if layer is None else layer.data.shape[:2]
+    return (0, 0, width - 1, height - 1), (0, 0, width - 1, height - 1)
 
 
 def _shown(window: Window) -> str:

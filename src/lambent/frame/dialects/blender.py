@@ -15,6 +15,7 @@ motion (measured by warping frames of 5.0 into each other, ``tests/render/cycles
 
 from __future__ import annotations
 
+from lambent.frame.dialects.octane import RULES as OCTANE_PASSES
 from lambent.frame.dialects.table import Dialect, Rule
 from lambent.frame.role import Role, Space, Stat
 
@@ -98,6 +99,7 @@ BLENDER = Dialect(
         Rule(r"Debug .+|Render Time(\..)?", Role.OTHER, "statistics of the render"),
         Rule(r"Grease Pencil", Role.OTHER, "drawn, not rendered"),
         Rule(r"Combined variance", Role.COLOUR, "variance of the mean", Stat.VARIANCE),
+        *OCTANE_PASSES,
     ),
     verified="5.0: rendered here; older names: Blender manual (Passes)",
 )
