@@ -211,6 +211,158 @@ def test_falcor() -> None:
     }
 
 
+def test_pbrt_variance_of_early_versions() -> None:
+    """``rgbVariance`` is what ``Variance`` is today."""
+    channels = [*"RGB", "Nsx", "Nsy", "Nsz", *rgb("rgbVariance"), *rgb("rgbRelativeVariance")]
+    found = identify(exr(*channels, header={"Software": "pbrt-v4", "samplesPerPixel": 8}))
+    assert found.of(Role.COLOUR, Stat.VARIANCE).name == "rgbVariance"
+    assert found.of(Role.COLOUR, Stat.VARIANCE).scale == 1 / 8
+    assert "rgbRelativeVariance" in named(found, "other")
+    told = identify(exr(*channels, header={"Software": "pbrt-v4"}), spp=4)
+    assert told.of(Role.COLOUR, Stat.VARIANCE).scale == 0.25
+
+
+def test_redshift() -> None:
+    """``DiffuseFilter`` is an albedo, ``…Raw`` no part of the sum."""
+    channels = [*RGBA, *rgb("DiffuseLighting"), *rgb("DiffuseLightingRaw"), *rgb("DiffuseFilter")]
+    channels += [*rgb("GlobalIllumination"), *rgb("SpecularLighting"), *rgb("Reflections")]
+    channels += [*rgb("ReflectionsFilter"), *rgb("BumpNormals"), *rgb("Normals"), "Depth.Z"]
+    channels += [*rgb("DiffuseLighting_key"), *rgb("PuzzleMatte1"), *rgb("Emission")]
+    found = identify(exr(*channels, *rgb("MotionVectors"), *rgb("WorldPosition")))
+    assert found.dialect == "redshift"
+    assert roles(found) == {
+        "colour": "RGB",
+        "alpha": "A",
+        "albedo": "DiffuseFilter",
+        "specular_albedo": "ReflectionsFilter",
+        "normal": "BumpNormals",
+        "depth": "Depth",
+        "position": "WorldPosition",
+        "emission": "Emission",
+    }
+    assert named(found, "lighting") == {
+        "DiffuseLighting", "GlobalIllumination", "SpecularLighting", "Reflections",
+        "DiffuseLighting_key",
+    }  # fmt: skip
+    assert named(found, "other") >= {"DiffuseLightingRaw", "Normals", "MotionVectors"}
+    assert named(found, "id") == {"PuzzleMatte1"}
+
+
+def test_corona() -> None:
+    """The prefixes are proof; CESSENTIAL elements are the light."""
+    channels = [*RGBA, *rgb("CESSENTIAL_Direct"), *rgb("CESSENTIAL_Indirect")]
+    channels += [*rgb("CESSENTIAL_Emission"), *rgb("CShading_Albedo"), *rgb("CShading_SourceColor")]
+    channels += [*rgb("CGeometry_NormalsShading"), "CGeometry_ZDepth.Z", *rgb("CMasking_ID")]
+    channels += [*rgb("CShading_LightSelect_key"), *rgb("CShading_RawComponent")]
+    found = identify(exr(*channels, *rgb("CGeometry_NormalsDotProduct")))
+    assert found.dialect == "corona"
+    assert roles(found) == {
+        "colour": "RGB",
+        "alpha": "A",
+        "emission": "CESSENTIAL_Emission",
+        "albedo": "CShading_Albedo",
+        "normal": "CGeometry_NormalsShading",
+        "depth": "CGeometry_ZDepth",
+    }
+    assert named(found, "lighting") == {
+        "CESSENTIAL_Direct", "CESSENTIAL_Indirect", "CShading_LightSelect_key",
+    }  # fmt: skip
+    assert named(found, "id") == {"CMasking_ID"}
+    assert "CShading_RawComponent" in named(found, "other")
+
+
+OCTANE = [
+    "DenoiseAlbedo", "DenoiseNormal", "NormalShading", "Emitters", "Diffuse", "ReflectionDirect",
+    "ReflectionFilterBeauty", "DenoisedBeauty", "LightID1", "MotionVector",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("scope", ["", "ViewLayer."])
+def test_octane(scope: str) -> None:
+    """Alone, and through Blender, whose header and view layers its plug-in writes."""
+    channels = [c for name in OCTANE for c in rgb(scope + name)] + [f"{scope}ZDepth.Z"]
+    beauty = f"{scope}Combined" if scope else "Beauty"
+    header = {"BlenderMultiChannel": "x"} if scope else {}
+    found = identify(exr(*channels, *rgb(beauty), header=header))
+    assert found.dialect == ("blender" if scope else "octane")
+    assert roles(found) == {
+        "colour": beauty,
+        "albedo": f"{scope}DenoiseAlbedo",
+        "normal": f"{scope}DenoiseNormal",
+        "specular_albedo": f"{scope}ReflectionFilterBeauty",
+        "emission": f"{scope}Emitters",
+        "depth": f"{scope}ZDepth",
+    }
+    light = {"Diffuse", "ReflectionDirect", "LightID1"}
+    assert named(found, "lighting") == {scope + name for name in light}
+    assert {scope + "DenoisedBeauty", scope + "MotionVector"} <= named(found, "other")
+
+
+def test_octane_names_of_its_menus() -> None:
+    """As its documentation spells them."""
+    channels = [*rgb("Beauty"), *rgb("Denoiser albedo"), *rgb("Normal (shading)"), "Z-Depth.Z"]
+    found = identify(exr(*channels, *rgb("Denoised beauty"), *rgb("Diffuse filter")))
+    assert found.dialect == "octane"
+    assert roles(found) == {
+        "colour": "Beauty",
+        "albedo": "Denoiser albedo",
+        "normal": "Normal (shading)",
+        "depth": "Z-Depth",
+    }
+
+
+def test_unreal() -> None:
+    """Movie Render Queue puts the pass and the material in front."""
+    front = "FinalImageMovieRenderQueue_"
+    channels = [*RGBA, *rgb(front + "WorldDepth"), *rgb(front + "WorldNormal")]
+    channels += [*rgb("FinalImageBaseColor"), *rgb(front + "MotionVectors")]
+    found = identify(exr(*channels, *rgb("ActorHitProxyMask00"), header={"unreal/job": "x"}))
+    assert found.dialect == "unreal"
+    assert roles(found) == {
+        "colour": "RGB",
+        "alpha": "A",
+        "depth": front + "WorldDepth",
+        "normal": front + "WorldNormal",
+        "albedo": "FinalImageBaseColor",
+    }
+    assert found.of(Role.DEPTH).channels == ((0, front + "WorldDepth.R"),)
+    assert named(found, "id") == {"ActorHitProxyMask00"}
+    assert identify(exr(*channels)).dialect == "unreal"  # by names
+
+
+def test_vray_as_hosts_write_it() -> None:
+    """VRay in front, a number behind, components before or after it."""
+    channels = [*RGBA, *rgb("VRayDiffuseFilter"), *rgb("VRayLighting_1"), *rgb("VRayBumpNormals")]
+    channels += [*(f"VRayGlobalIllumination.{c}.002" for c in "RGB"), *rgb("VRayLightSelect_key")]
+    channels += [*(f"{c}.VRayReflection" for c in "RGB"), "VRayZDepth.R", *rgb("VRayRawLighting")]
+    found = identify(exr(*channels))
+    assert found.dialect == "vray"
+    assert roles(found) == {
+        "colour": "RGB",
+        "alpha": "A",
+        "albedo": "VRayDiffuseFilter",
+        "normal": "VRayBumpNormals",
+        "depth": "VRayZDepth",
+    }
+    assert named(found, "lighting") == {
+        "VRayLighting_1", "VRayGlobalIllumination.002", "VRayLightSelect_key", "VRayReflection",
+    }  # fmt: skip
+    assert "VRayRawLighting" in named(found, "other")
+
+
+def test_vray_for_nuke() -> None:
+    channels = ["R", "G", "B", *rgb("diffuse"), *xyz("bump_normals"), *rgb("gi"), *rgb("gi_raw")]
+    found = identify(exr(*channels, *rgb("self_illumination"), *rgb("atmospheric_effects")))
+    assert found.dialect == "vray"
+    assert roles(found) == {
+        "colour": "RGB",
+        "albedo": "diffuse",
+        "normal": "bump_normals",
+        "emission": "self_illumination",
+    }
+    assert named(found, "lighting") == {"gi", "atmospheric_effects"}
+
+
 def test_our_own_frames() -> None:
     """The names that `benchmarks/frames.py` writes."""
     channels = [*"RGB", *rgb("albedo"), *xyz("normal"), "depth.Z", *xyz("position")]
@@ -322,6 +474,72 @@ def test_views_by_part_names() -> None:
     assert found.views == ("left", "right")
     expected = {"colour": "beauty", "alpha": "beauty.A", "albedo": "albedo"}
     assert roles(found, "left") == roles(found, "right") == expected
+
+
+@pytest.mark.parametrize("mark", [".", "_", "-", " "])
+@pytest.mark.parametrize("view", ["main", "cam1", "Left"])
+def test_the_view_of_a_part_is_no_part_of_its_name(mark: str, view: str) -> None:
+    """As Nuke and others write a file of one view or of any."""
+    rgba, albedo = "R G B A", "albedo.red albedo.green albedo.blue"
+    layers = {"rgba": rgba, "depth": "depth.Z", "albedo": albedo, "N": "X Y Z"}
+    file = parts(*((f"{name}{mark}{view}", channels, view) for name, channels in layers.items()))
+    found = identify(file)
+    assert found.views == (view,)
+    assert roles(found, view) == {
+        "colour": "rgba",
+        "alpha": "rgba.A",
+        "depth": "depth",
+        "albedo": "albedo",
+        "normal": "N",
+    }
+    by_part = identify(file, {"position": f"N{mark}{view}"})  # as the file's parts are shown
+    assert by_part.of(Role.POSITION, view=view).name == "N"
+
+
+def test_main_without_a_declaration() -> None:
+    """Where every part has it; a light group called main stays one."""
+    found = identify(parts(("rgba.main", "R G B A"), ("depth.main", "Z"), ("N.main", "X Y Z")))
+    assert found.views == ()
+    assert roles(found) == {"colour": "rgba", "alpha": "rgba.A", "depth": "depth", "normal": "N"}
+    found = identify(parts(("RGBA", "R G B A"), ("RGBA_main", "R G B"), ("diffuse_main", "R G B")))
+    assert roles(found) == {"colour": "RGBA", "alpha": "RGBA.A"}
+    assert "RGBA_main" in named(found, "lighting")
+    assert "diffuse_main" in {layer.name for layer in found.layers}
+
+
+def test_a_light_group_named_as_the_view() -> None:
+    found = identify(parts(("RGBA", "R G B A", "main"), ("RGBA_main", "R G B", "main")))
+    assert roles(found, "main") == {"colour": "RGBA", "alpha": "RGBA.A"}
+    assert named(found, "lighting", "main") == {"RGBA_main"}
+
+
+def test_main_in_channels() -> None:
+    """Nuke writes the view in front of a channel, the standard before its last part."""
+    channels = ["main.R", "main.G", "main.B", "depth.main.Z", *(f"main.albedo.{c}" for c in "RGB")]
+    expected = {"colour": "RGB", "depth": "depth", "albedo": "albedo"}
+    assert roles(identify(exr(*channels))) == expected
+    declared = identify(exr(*channels, header={"multiView": ["main"]}))
+    assert roles(declared, "main") == expected
+    mixed = identify(exr("R", "G", "B", "main.R", "main.G", "main.B"))
+    assert roles(mixed) == {"colour": "RGB"}
+    assert "main" in {layer.name for layer in mixed.layers}
+
+
+def test_view_in_a_channel_of_a_part_of_that_view() -> None:
+    file = parts(("a", "albedo.left.R albedo.left.G albedo.left.B", "left"),
+                 ("b", "R G B left.R left.G left.B", "left"))  # fmt: skip
+    found = identify(file)
+    assert found.of(Role.ALBEDO, view="left").name == "albedo"
+    assert {layer.name for layer in found.layers} == {"albedo", "b", "left"}
+
+
+def test_parts_that_openimageio_named() -> None:
+    found = identify(parts(("subimage00", "R G B A"), ("subimage01", "R G B")))
+    assert roles(found) == {"colour": "RGB", "alpha": "A"}
+    assert named(found, "other") == {"subimage01"}
+    found = identify(parts(("subimage00", "R G B"), ("subimage01", "R G B")),
+                     {"colour": "subimage01", "albedo": "subimage00"})  # fmt: skip
+    assert roles(found) == {"colour": "subimage01", "albedo": "RGB"}
 
 
 def test_blender_views() -> None:
@@ -471,6 +689,71 @@ def test_unknown_role() -> None:
 def test_wrong_channel_count() -> None:
     with pytest.raises(LayerError, match="needs 3 channels, this has 1"):
         identify(exr("R", "G", "B", "depth.Z"), {"normal": "depth"})
+
+
+def test_channels_joined_by_name() -> None:
+    found = identify(exr("0", "1", "2", "3"), {"colour": "0, 1,2", "alpha": "3"})
+    assert found.of(Role.COLOUR).channels == ((0, "0"), (0, "1"), (0, "2"))
+    assert found.of(Role.ALPHA).channels == ((0, "3"),)
+    assert not found.of(Role.COLOUR).cie
+
+
+def test_joined_channels_leave_the_others() -> None:
+    """Every channel stays in a layer, and an alpha with its colour."""
+    found = identify(exr(*RGBA, *xyz("v"), "w"), {"colour": "B,G,R", "motion": "v.X,w"})
+    assert found.of(Role.COLOUR).channels == ((0, "B"), (0, "G"), (0, "R"))
+    assert found.of(Role.ALPHA).channels == ((0, "A"),)
+    assert found.of(Role.MOTION).channels == ((0, "v.X"), (0, "w"))
+    held = sorted(name for layer in found.layers for _, name in layer.channels)
+    assert held == sorted([*RGBA, *xyz("v"), "w"])
+
+
+def test_joined_channels_of_every_view_and_of_parts() -> None:
+    file = parts(("x", "a b c", "left"), ("x", "a b c", "right"))
+    found = identify(file, {"colour": "a,b,c"})
+    assert found.of(Role.COLOUR, view="left").channels == ((0, "a"), (0, "b"), (0, "c"))
+    assert found.of(Role.COLOUR, view="right").channels == ((1, "a"), (1, "b"), (1, "c"))
+    file = parts(("one", "v"), ("two", "v"), ("three", "v"))
+    found = identify(file, {"colour": "one.v,TWO.v,three.v"})
+    assert [index for index, _ in found.of(Role.COLOUR).channels] == [0, 1, 2]
+
+
+def test_a_layer_with_a_comma_in_its_name() -> None:
+    found = identify(exr(*rgb("a,b")), {"colour": "a,b"})
+    assert found.of(Role.COLOUR).name == "a,b"
+
+
+def test_wrong_joins_name_the_channels() -> None:
+    with pytest.raises(UnknownNameError, match=r"no channel '5'(.|\n)*Known: 0, 1, 2"):
+        identify(exr("0", "1", "2"), {"colour": "0,1,5"})
+    with pytest.raises(LayerError, match="needs 1 or 3 channels, this has 2"):
+        identify(exr("0", "1", "2"), {"colour": "0,1"})
+    with pytest.raises(LayerError, match="different channels"):
+        identify(exr("0", "1", "2"), {"colour": "0,1,1"})
+    with pytest.raises(UnknownNameError, match="Known: 0, 1, 2"):
+        identify(exr("0", "1", "2"), {"colour": "rgb"})
+
+
+@pytest.mark.parametrize("name", ["R", "Z", "Y", "V", "luminance"])
+def test_one_channel_as_colour(name: str) -> None:
+    assert identify(exr(name), {"colour": name}).of(Role.COLOUR).channels == ((0, name),)
+    if name != "Y":  # the luminance, which is a colour anyway
+        assert identify(exr(name)).of(Role.COLOUR) is None
+
+
+def test_films_of_cie_xyz() -> None:
+    """Mitsuba's are known; elsewhere the user says it. Three channels by name are as they stand."""
+    header = {"generatedBy": "Mitsuba version 3.9.1"}
+    found = identify(exr("X", "Y", "Z", "A", header=header))
+    assert roles(found) == {"colour": "XYZ", "alpha": "A"}
+    assert found.of(Role.COLOUR).cie
+    assert any("CIE XYZ" in note for note in found.notes)
+    assert identify(exr("R", "G", "B", "X", "Y", "Z", header=header)).of(Role.COLOUR).name == "RGB"
+    assert identify(exr("X", "Y", "Z")).of(Role.COLOUR) is None
+    assert identify(exr("X", "Y", "Z"), {"colour": "XYZ"}).of(Role.COLOUR).cie
+    assert not identify(exr("X", "Y", "Z"), {"colour": "X,Y,Z"}).of(Role.COLOUR).cie
+    with pytest.raises(LayerError, match="cannot be read"):
+        identify(exr("R", "G", "B", *xyz("v")), {"colour.variance": "v"})
 
 
 # --------------------------------------------------------------------------------------- plug-ins

@@ -157,11 +157,12 @@ class Frame:
     def missing(self, role: Role, stat: Stat = Stat.MEAN) -> LayerError:
         """The error to raise where a layer is needed that is not there."""
         name = role.value if stat is Stat.MEAN else f"{role.value}.{stat.value}"
+        choice = "LAYER (or FILE.exr)" if INFO[role].guide else "LAYER"
         have = ", ".join(sorted({layer.name for layer in self.all_layers()})) or "nothing"
         return LayerError(
             f"no layer for '{name}' ({INFO[role].title}) was found",
             file=self.path,
-            remedy=f"name one yourself: --map {name}=LAYER. The file has: {have}.",
+            remedy=f"name one yourself: --map {name}={choice}. The file has: {have}.",
         )
 
     @property

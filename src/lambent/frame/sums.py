@@ -58,6 +58,18 @@ WAYS: tuple[tuple[str, str], ...] = (
         r"lighting|gi|reflect(ion)?|refract(ion)?|specular|sss\d?|selfillum(ination)?|"
         r"atmosphere|background|caustics",
     ),
+    ("Corona's elements", r"cessential_.+"),
+    (
+        "Redshift's AOVs",
+        r"diffuse[ _]?lighting|speculars?[ _]?lighting|global[ _]?illumination|gi|reflections?|"
+        r"refractions?|sss|sub[ _]?surface[ _]?scatter(ing)?|caustics|emission|background|"
+        r"volume[ _]?lighting",
+    ),
+    (
+        "Octane's passes",
+        r"emitters|environment|diffuse|reflection|refraction|transmission|volume|"
+        r"sub-?surface[ _]?scattering|sss",
+    ),
 )
 
 #: Cycles: light of a lobe is written before the colour of the surface (new and old pass names).
@@ -112,11 +124,14 @@ def _ways(frame: Frame) -> Iterator[tuple[str, list[tuple[str, FloatImage]]]]:
     cycles = _cycles(frame)
     if cycles:
         yield "Cycles' passes, Σ (direct + indirect) · colour + the rest", cycles
+    seen = set()
     for way, pattern in WAYS:
         members = [
             layer for layer in light if re.fullmatch(pattern, last_part(layer.name), re.IGNORECASE)
         ]
-        if len(members) >= 2 and not (cycles and way != "light groups"):
+        names = tuple(layer.name for layer in members)
+        if len(members) >= 2 and names not in seen and not (cycles and way != "light groups"):
+            seen.add(names)
             yield way, [(layer.name, layer.data) for layer in members]
 
 

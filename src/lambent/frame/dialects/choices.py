@@ -28,10 +28,14 @@ def joined(images: Sequence[Image], overrides: Mapping[str, str], file: object) 
     """
     result = list(images)
     for role, layer in overrides.items():
-        names = [name.strip() for name in layer.split(",")]
+        names = _pieces(layer)
         if len(names) > 1 and not _named(images, layer.strip()):
             result = _joined(result, role, names, file)
     return result
+
+
+def _pieces(layer: str) -> list[str]:
+    return [name.strip() for name in layer.split(",")]
 
 
 def _joined(images: list[Image], role: str, names: list[str], file: object) -> list[Image]:
@@ -107,7 +111,7 @@ def asked_for(
     wanted: list[tuple[Role, Stat, Image]] = []
     for role_name, layer in overrides.items():
         role, stat = parse_role(role_name)
-        hits = _named(images, layer.strip())
+        hits = _named(images, layer.strip()) or _named(images, ",".join(_pieces(layer)))
         if not hits:
             raise UnknownNameError("layer", layer, {i.name for i in images}, file=file)
         fitting = [image for image in hits if picked(role, image, stat, asked=True) is not None]
