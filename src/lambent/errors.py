@@ -21,6 +21,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+from lambent import interrupts
+
 
 class LambentError(Exception):
     """Base of all errors raised on purpose.
@@ -55,17 +57,26 @@ class LambentError(Exception):
 
 
 def by_interrupt(error: BaseException) -> bool:
-    """Whether an error is Ctrl-C in disguise.
+    """Whether an error is Ctrl-C, or SIGTERM, in disguise (`lambent.interrupts`).
 
-    Dr.Jit turns what is raised while it records a loop into an error of its own, with the true one
-    as its cause.
+    Either a signal came, or the end of the process is among the error's causes: Dr.Jit turns what
+    is raised while it records a loop into an error of its own, with the true one as its cause.
     """
     seen: BaseException | None = error
     while seen is not None:
-        if isinstance(seen, KeyboardInterrupt):
+        ending = isinstance(seen, SystemExit) and seen is not error
+        if ending or isinstance(seen, KeyboardInterrupt):
             return True
+        if isinstance(seen, ImportError) and "KeyboardInterrupt" in str(seen):
+            return True  # a compiled module that was being imported keeps the text alone
         seen = seen.__cause__ or seen.__context__
-    return False
+    return interrupts.came()
+
+
+def stop_by_interrupt(error: BaseException) -> None:
+    """Raise `KeyboardInterrupt` in the place of an error that is one in disguise."""
+    if by_interrupt(error):
+        raise KeyboardInterrupt from error
 
 
 class FileError(LambentError):

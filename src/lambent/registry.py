@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
-from lambent.errors import LambentError, UnknownNameError
+from lambent.errors import LambentError, UnknownNameError, stop_by_interrupt
 
 
 class Registry(Mapping[str, Any]):
@@ -56,6 +56,7 @@ class Registry(Mapping[str, Any]):
         try:
             thing = getattr(importlib.import_module(module), attribute)
         except (ImportError, AttributeError) as error:
+            stop_by_interrupt(error)
             if name in self._own:
                 raise
             raise LambentError(

@@ -19,7 +19,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from lambent.errors import LambentError, OptionError, by_interrupt
+from lambent.errors import EngineError, LambentError, OptionError, by_interrupt
+from lambent.interrupts import watched
 
 #: Command -> what `lambent --help` says of it. The module is ``lambent.cli.<command>``.
 COMMANDS = {
@@ -81,6 +82,27 @@ def run(args: Sequence[str]) -> int:
     """Run one command line; print what goes wrong; return the exit code."""
     as_json = "--json" in args
     signal.signal(signal.SIGTERM, _terminate)
+    with watched():
+        return _run(args, as_json)
+
+
+def group() -> Any:
+    """The root command, with its options and all commands."""
+    app = typer.Typer(
+        cls=LazyCommands,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+        epilog=_EPILOG,
+    )
+    app.callback()(_root)
+    return typer.main.get_command(app)
+
+
+# ------------------------------------------------------------------- private
+
+
+def _run(args: Sequence[str], as_json: bool) -> int:
     try:
         # Without a word, the help: what a newcomer types first.
         code = group().main(list(args) or ["--help"], prog_name="lambent", standalone_mode=False)
@@ -88,6 +110,9 @@ def run(args: Sequence[str]) -> int:
             _say_interrupted()
         return code if isinstance(code, int) else 0
     except LambentError as error:
+        if isinstance(error, EngineError) and by_interrupt(error):
+            _say_interrupted()  # an engine that was being imported is not broken
+            return 130
         if _debugging():
             raise
         _print_error(error, as_json)
@@ -107,22 +132,6 @@ def run(args: Sequence[str]) -> int:
         known = _usage_error(error) or _system_error(error)
         _print_error(known, as_json)
         return known.exit_code
-
-
-def group() -> Any:
-    """The root command, with its options and all commands."""
-    app = typer.Typer(
-        cls=LazyCommands,
-        rich_markup_mode=None,
-        pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-        epilog=_EPILOG,
-    )
-    app.callback()(_root)
-    return typer.main.get_command(app)
-
-
-# ------------------------------------------------------------------- private
 
 
 def _root(

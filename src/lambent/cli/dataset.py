@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress, show_seconds
 
 if TYPE_CHECKING:
@@ -84,6 +84,7 @@ def make(
         bool,
         typer.Option("--trust", help="Compare only the sizes of the files there are, not hashes."),
     ] = False,
+    allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -96,7 +97,9 @@ def make(
     from lambent.dataset.make import default_folder
     from lambent.dataset.make import make as run
     from lambent.dataset.recipe import load_recipe
+    from lambent.render.plugins import allow
 
+    allow(allow_plugins or ())
     seconds = None if time is None else parse_time(time)
     chosen = load_recipe(recipe)
     if count is not None:
@@ -142,6 +145,7 @@ def preview(
     count: Annotated[int, typer.Option("--count", metavar="N", help="How many to show.")] = 24,
     spp: Annotated[int, typer.Option("--spp", metavar="N", help="Of a recipe's views.")] = 32,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a sheet.")] = False,
+    allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
 ) -> None:
     """Show a set, or the scenes that a recipe gives, as one contact sheet."""
@@ -149,7 +153,9 @@ def preview(
     from lambent.dataset.recipe import load_recipe
     from lambent.errors import OptionError
     from lambent.frame.atomic import check_target
+    from lambent.render.plugins import allow
 
+    allow(allow_plugins or ())
     if count < 1 or spp < 2:
         raise OptionError("--count needs 1 or more, --spp 2 or more")
     check_target(output, overwrite)

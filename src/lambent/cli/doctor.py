@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from lambent.cli.options import JsonOption, print_json
+from lambent.errors import stop_by_interrupt
 
 EPILOG = "Exit code 5 where something is broken; remarks alone are no failure."
 
@@ -130,6 +131,7 @@ def _safely(part: Callable[[], list[Check]]) -> list[Check]:
     try:
         return part()
     except Exception as error:
+        stop_by_interrupt(error)
         name = part.__name__.strip("_")
         text = f"the check failed: {type(error).__name__}: {error}"
         return [Check(name, "broken", text, "pip install --force-reinstall lambent")]

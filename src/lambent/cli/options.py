@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -69,6 +70,14 @@ DeviceOption = Annotated[
         metavar="auto|cpu|cuda",
         help="Where to compute.",
         autocompletion=complete_devices,
+    ),
+]
+PluginsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--allow-plugins",
+        metavar="DIR",
+        help="Let scenes load the plug-ins (native code) in this folder. Repeatable.",
     ),
 ]
 JsonOption = Annotated[

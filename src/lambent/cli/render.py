@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def render(
     report: Annotated[
         bool, typer.Option("--report", help="Write a page that shows the picture as it grows.")
     ] = False,
+    allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -121,7 +122,9 @@ def render(
     from lambent.cli.options import definitions, light_groups, size_of
     from lambent.frame.sequence import parse_range
     from lambent.render.job import frames_of, render_all
+    from lambent.render.plugins import allow
 
+    allow(allow_plugins or ())
     numbers: tuple[int, ...] | None = None
     if frames == "all":
         numbers = frames_of(animation, scene)

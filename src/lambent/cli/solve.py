@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress, show_seconds
 
 if TYPE_CHECKING:
@@ -105,13 +105,17 @@ def solve(
     report: Annotated[
         bool, typer.Option("--report", help="Write a page that shows the light as it grows.")
     ] = False,
+    allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.cli.options import definitions
     from lambent.frame.atomic import check_target
+    from lambent.render.plugins import allow
     from lambent.transport.solve import solve as run
+
+    allow(allow_plugins or ())
 
     target = output or Path(_default_name(scene))
     given = {

@@ -71,7 +71,7 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
-    from lambent.errors import EngineError, OptionError
+    from lambent.errors import EngineError, OptionError, stop_by_interrupt
     from lambent.frame.atomic import check_target
 
     try:
@@ -80,6 +80,7 @@ def train(
         from lambent.learn.train import run_folder
         from lambent.learn.train import train as run_training
     except ImportError as error:
+        stop_by_interrupt(error)
         if (error.name or "").split(".")[0] != "torch":
             raise
         raise EngineError(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, print_json
+from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def view(
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace outputs.")] = False,
+    allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
@@ -135,8 +136,10 @@ def view(
         )
     if not has_place(output):
         check_target(Path(output), overwrite)
+    from lambent.render.plugins import allow
     from lambent.render.variant import mitsuba
 
+    allow(allow_plugins or ())
     mitsuba(device)  # before anything of Mitsuba's is named
     from lambent.transport import solution as look
 

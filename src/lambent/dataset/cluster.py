@@ -16,6 +16,7 @@ from collections import deque
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from lambent.dataset.plan import Job
@@ -23,8 +24,9 @@ from lambent.dataset.produce import Failed, Made, attempt
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.dataset.workers import DEATHS
-from lambent.errors import EngineError
+from lambent.errors import EngineError, stop_by_interrupt
 from lambent.phases import Phases
+from lambent.render import plugins
 
 #: Processors that one worker takes where nothing is said.
 PROCESSORS = 2
@@ -33,7 +35,8 @@ PROCESSORS = 2
 class Renderer:
     """What runs on the cluster: a source, kept from job to job."""
 
-    def __init__(self, recipe: Recipe, device: str) -> None:
+    def __init__(self, recipe: Recipe, device: str, folders: tuple[Path, ...] = ()) -> None:
+        plugins.allow(folders)
         self.recipe, self.phases = recipe, Phases()
         self.source = open_source(recipe, device, self.phases)
 
@@ -65,6 +68,7 @@ def _connected(address: str) -> Any:
     try:
         ray = importlib.import_module("ray")
     except ImportError as error:
+        stop_by_interrupt(error)
         raise EngineError(
             f"a cluster needs Ray, which cannot be imported ({error})",
             remedy="pip install 'lambent[cluster]'",
@@ -78,6 +82,8 @@ def _connected(address: str) -> Any:
                 configure_logging=False,
             )
         except (Exception, SystemExit) as error:  # Ray ends the process where nobody answers
+            if not isinstance(error, SystemExit):
+                stop_by_interrupt(error)
             raise EngineError(
                 f"there is no Ray cluster at '{address}': {error}",
                 remedy="start one with 'ray start --head', or use --cluster local",
@@ -138,7 +144,7 @@ class _Crew:
     def _actor(self, n: int) -> Any:
         if n not in self.actors:
             kind = self.ray.remote(num_cpus=self.processors, scheduling_strategy="SPREAD")(Renderer)
-            self.actors[n] = kind.remote(self.recipe, self.device)
+            self.actors[n] = kind.remote(self.recipe, self.device, plugins.allowed())
         return self.actors[n]
 
     def _run(self, n: int) -> None:

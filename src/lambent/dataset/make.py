@@ -24,6 +24,7 @@ from lambent.dataset.produce import Failed, Made
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.errors import OptionError
+from lambent.interrupts import stop_if_came, watched
 from lambent.phases import Phases
 from lambent.startup import cache_folder
 
@@ -99,7 +100,7 @@ def make(
         raise OptionError(f"--processes {processes} makes no sense", remedy="take 1 or more")
     start = time.monotonic()
     outcome = Outcome(place)
-    with writing(place):
+    with watched(), writing(place):
         begin(place, recipe, _facts(recipe, device))
         lines, outcome.notes = settle(place, recipe, trust, progress)
         write_lines(place, lines)
@@ -151,6 +152,7 @@ def _collect(
     begun = time.monotonic()
     progress(0, total, "the first scene")
     for result in results:
+        stop_if_came()
         if isinstance(result, Failed):
             outcome.failed.append(result)
             continue

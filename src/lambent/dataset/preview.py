@@ -21,7 +21,7 @@ from lambent.dataset.plan import CLIP, STILL, Job, number, per_scene, scene_seed
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import WholeScene, open_source
-from lambent.errors import FileError
+from lambent.errors import FileError, stop_by_interrupt
 from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
@@ -78,6 +78,7 @@ def preview_recipe(
             else:
                 frame = scene.views(camera)[-1].pilot(size, spp, seed)
         except Exception as error:  # a preview is to show that, too
+            stop_by_interrupt(error)
             blank = np.full((size[1], size[0], 3), 60, np.uint8)
             tiles.append(Tile((blank,), f"{seed}: {type(error).__name__}: {error}"))
             continue

@@ -38,9 +38,10 @@ from lambent.dataset.source import (
     Window,
 )
 from lambent.dataset.windows import Choice, choose
-from lambent.errors import LambentError
+from lambent.errors import LambentError, stop_by_interrupt
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
+from lambent.interrupts import stop_if_came
 from lambent.phases import Phases
 
 #: So many crops of a camera are rendered together on this machine. It changes nothing in them;
@@ -105,10 +106,14 @@ def produce(
 def attempt(
     recipe: Recipe, source: Source, job: Job, phases: Phases, batch: int = BATCH
 ) -> Iterator[Made | Failed]:
-    """Like `produce`; what goes wrong with a scene becomes a `Failed`, so that others go on."""
+    """Like `produce`; what goes wrong with a scene becomes a `Failed`, so that others go on.
+
+    Raises `KeyboardInterrupt`, in whatever disguise it comes.
+    """
     try:
         yield from produce(recipe, source, job, phases, batch)
     except Exception as error:  # whatever a renderer raises for one scene
+        stop_by_interrupt(error)
         yield Failed(job, f"{type(error).__name__}: {error}")
 
 
@@ -120,20 +125,23 @@ def _place(recipe: Recipe, job: Job, index: int) -> int:
 
 
 def _find(recipe: Recipe, source: Source, job: Job, phases: Phases) -> _Set:
-    """The first fit scene of a job. Depends on the recipe and the job's number alone."""
+    """The first fit scene of a job. Depends on the recipe and the job's number alone.
+
+    So another takes the place of one that is itself unfit, and never of one that met with an error:
+    that may lie in the machine, in the moment, or in a signal, and would change the set for good.
+    """
     rejected = []
     for attempt in range(ATTEMPTS):
         seed = scene_seed(recipe, job, attempt)
+        stop_if_came()
         try:
             with phases("scene"):
                 scene = source.scene(
                     seed, job.number, 1 if job.what == STILL else recipe.clip_frames
                 )
             crops = _crops(recipe, job, scene, attempt, phases)
-        except (MemoryError, OSError):
-            raise
-        except Exception as error:  # a scene that cannot be built or rendered: take another
-            rejected.append(f"seed {seed}: {type(error).__name__}: {error}")
+        except UnfitSceneError as error:  # anything else may go well the next time
+            rejected.append(f"seed {seed}: {error}")
             continue
         return _Set(scene, attempt, crops, tuple(rejected))
     raise LambentError(

@@ -133,4 +133,8 @@ def open_source(recipe: Recipe, device: str, phases: Phases) -> Source:
 
 
 class UnfitSceneError(LambentError):
-    """A scene that gives nothing to learn from, or cannot be rendered; another is taken."""
+    """A scene that gives nothing to learn from; another is taken.
+
+    A source raises it for what will be so whenever and wherever the scene is made. For any other
+    error the scene's items are left out this time, and said to be.
+    """

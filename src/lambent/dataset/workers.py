@@ -15,6 +15,7 @@ from collections.abc import Generator, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any
 
 from lambent.dataset.plan import Job
@@ -22,6 +23,7 @@ from lambent.dataset.produce import Failed, Made, attempt
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import open_source
 from lambent.phases import Phases
+from lambent.render import plugins
 
 #: A job is given up when so many workers have died of it.
 DEATHS = 3
@@ -79,7 +81,7 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         self.job: Job | None = None
         self.process = context.Process(
-            target=_main, args=(theirs, recipe, device, count), daemon=True
+            target=_main, args=(theirs, recipe, device, count, plugins.allowed()), daemon=True
         )
         self.process.start()
         theirs.close()
@@ -115,11 +117,14 @@ class _Worker:
         return self.process.exitcode
 
 
-def _main(pipe: Connection, recipe: Recipe, device: str, count: int) -> None:
+def _main(
+    pipe: Connection, recipe: Recipe, device: str, count: int, folders: tuple[Path, ...]
+) -> None:
     """What a worker does until nobody listens any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.environ["LAMBENT_THREADS"] = str(max(1, (os.cpu_count() or 1) // count))
+    plugins.allow(folders)
     phases = Phases()
     source = open_source(recipe, device, phases)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):

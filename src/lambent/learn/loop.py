@@ -38,7 +38,13 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lambent import __version__
-from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
+from lambent.errors import (
+    DamagedFileError,
+    EngineError,
+    FileError,
+    OptionError,
+    stop_by_interrupt,
+)
 from lambent.frame.atomic import atomic
 from lambent.frame.tonemap import to_png
 from lambent.learn.graphed import Graphed
@@ -438,6 +444,7 @@ def _load(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         raise FileError("is not there yet", file=path, remedy="train first") from None
     except Exception as error:
+        stop_by_interrupt(error)
         raise DamagedFileError(
             f"cannot be read: {error}", file=path, remedy="delete it, or the whole run"
         ) from None

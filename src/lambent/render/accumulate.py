@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lambent.errors import LayerError, OptionError, OutputError
+from lambent.errors import LayerError, OptionError, OutputError, by_interrupt
 from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
@@ -139,10 +139,12 @@ def accumulate(
             if checkpoint and now - saved_at > max(every, save_seconds / CHECKPOINT_SHARE):
                 checkpoint(moments)
                 saved_at, save_seconds = time.monotonic(), time.monotonic() - now
-    except KeyboardInterrupt:
+    except BaseException as error:  # Dr.Jit makes an error of its own of Ctrl-C
+        if not by_interrupt(error):
+            raise
         if checkpoint and moments is not None and moments is not start:
             checkpoint(moments)
-        raise
+        raise KeyboardInterrupt from error
 
 
 def pass_seed(seed: int, first: int) -> int:

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lambent.errors import OptionError, OutputError
+from lambent.errors import OptionError, OutputError, stop_by_interrupt
 from lambent.frame.atomic import check_target
 from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role
 from lambent.frame.sequence import has_place, put_number
+from lambent.render import plugins
 from lambent.render.accumulate import (
     ATTRIBUTE,
     CHECKPOINT_SECONDS,
@@ -35,7 +36,7 @@ from lambent.render.accumulate import (
 )
 from lambent.render.animation import Animation, Keyframes, Stage, disoccluded, read_keyframes
 from lambent.render.moments import Moments
-from lambent.render.scene import LoadedScene, film_size, integrator_name, load
+from lambent.render.scene import LoadedScene, complaint, film_size, integrator_name, load
 
 if TYPE_CHECKING:
     from lambent.render.sampling import FrameSampler
@@ -402,13 +403,20 @@ def _integrator(wish: Any, loaded: LoadedScene) -> Any:
     if wish == "scene":
         return loaded.scene.integrator()
     if isinstance(wish, str):
+        mi = mitsuba()
+        reason = ""
         try:
-            return mitsuba().load_dict({"type": wish})
+            plugins.check(mi, {wish: ""}, "--integrator")
+            made = mi.load_dict({"type": wish})
+            if isinstance(made, mi.Integrator):
+                return made
         except Exception as error:
-            raise OptionError(
-                f"Mitsuba has no integrator '{wish}'",
-                remedy="take path, volpath, prb, direct, … or scene for the scene's own",
-            ) from error
+            stop_by_interrupt(error)
+            reason = f": {getattr(error, 'message', None) or complaint(error)}"
+        raise OptionError(
+            f"Mitsuba has no integrator '{wish}'{reason}",
+            remedy="take path, volpath, prb, direct, … or scene for the scene's own",
+        )
     return wish
 
 

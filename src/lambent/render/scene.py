@@ -12,12 +12,21 @@ import importlib
 import os
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lambent.errors import DamagedFileError, FileError, LambentError, OptionError, UnknownNameError
+from lambent.errors import (
+    DamagedFileError,
+    FileError,
+    LambentError,
+    OptionError,
+    UnknownNameError,
+    stop_by_interrupt,
+)
+from lambent.render.plugins import check as check_plugins
+from lambent.render.plugins import names_in
 from lambent.render.variant import mitsuba
 
 #: Integrators whose radiance our own paths compute, or which the plug-in is.
@@ -67,9 +76,12 @@ def load(
         digest = _digest_of_file(path, parameters or {})
     elif isinstance(source, Mapping):
         try:
+            check_plugins(mi, dict.fromkeys(names_in(source), ""), "the scene")
             scene = mi.load_dict(dict(source))
+        except LambentError:
+            raise
         except Exception as error:
-            raise _told(error, "the scene") from error
+            raise explained(error, "the scene") from error
         digest = hashlib.sha256(repr(sorted(source)).encode() + str(scene).encode()).hexdigest()
     else:
         scene = source
@@ -85,6 +97,41 @@ def load(
     if size is not None:
         _resize(mi, sensor, size)
     return LoadedScene(scene, sensor, digest[:16], path, *_depths(scene), _notes(scene, sensor))
+
+
+def build(
+    mi: Any,
+    path: Path,
+    parameters: Mapping[str, Any],
+    change: Callable[[Any, Any], None] | None = None,
+) -> Any:
+    """What a scene file holds, built by Mitsuba; only plug-ins that are loaded already take part.
+
+    As ``mi.load_file`` does it, but that what the parser has read is looked at in between
+    (`lambent.render.plugins.check`), and may be changed: ``change(mi, nodes)``; then equal nodes
+    stay apart. Raises `DamagedFileError` for a foreign plug-in, and what Mitsuba raises.
+    """
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    resolver.prepend(str(path.parent))
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = change is None
+    mi.set_file_resolver(resolver)
+    try:
+        texts = {k: str(v) for k, v in parameters.items()}
+        state = mi.parser.parse_file(config, str(path), **texts)
+        mi.parser.transform_all(config, state)
+        named: dict[str, str] = {}
+        for node in state.nodes:
+            where = re.search(r"line \d+, col \d+", mi.parser.file_location(state, node))
+            named.setdefault(node.props.plugin_name(), where.group(0) if where else "")
+        check_plugins(mi, named, path)
+        if change is not None:
+            change(mi, state.nodes)
+        built = mi.parser.instantiate(config, state)
+    finally:
+        mi.set_file_resolver(before)
+    return built[0] if isinstance(built, list) else built
 
 
 def film_size(sensor: Any) -> tuple[int, int]:
@@ -112,20 +159,24 @@ def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
             file=path,
             remedy="Lambent renders Mitsuba's .xml and Blender's .blend",
         )
-    texts = {k: str(v) for k, v in parameters.items()}
     try:
-        scene = mi.load_file(str(path), **texts)
+        scene = build(mi, path, parameters)
+    except LambentError:
+        raise
     except Exception as error:
-        raise _told(error, path) from error
+        raise explained(error, path) from error
     if not isinstance(scene, mi.Scene):
         raise DamagedFileError("holds no <scene>", file=path, remedy="its root must be a <scene>")
     return scene
 
 
-def _told(error: Exception, where: object) -> LambentError:
-    """Mitsuba's complaint in our form: what is missing, where, and the remedy."""
-    text = re.sub(r"\[\w+\.cpp:\d+\]\s*", "", str(error)).strip()
-    text = re.sub(r"\s+", " ", text)
+def explained(error: Exception, where: object) -> LambentError:
+    """Mitsuba's complaint in our form: what is missing, where, and the remedy.
+
+    Raises `KeyboardInterrupt` for one that is Ctrl-C in disguise.
+    """
+    stop_by_interrupt(error)
+    text = complaint(error)
     lost = re.search(r'"([^"]+)"[^"]*(?:file not found|No such file|does not exist)', text)
     if lost:
         return FileError(
@@ -146,6 +197,14 @@ def _told(error: Exception, where: object) -> LambentError:
         file=where,
         remedy="Mitsuba 3 reads scenes of version 0.4 to its own; older ones need its converter",
     )
+
+
+def complaint(error: BaseException) -> str:
+    """What Mitsuba or Dr.Jit complains of, in one line: the first cause, without where in C++."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    text = re.sub(r"\[[\w.]+:\d+\]\s*", "", str(error))
+    return re.sub(r"\s+", " ", text).strip() or type(error).__name__
 
 
 def _place(text: str) -> str:

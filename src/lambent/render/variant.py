@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from lambent.errors import EngineError
+from lambent.errors import EngineError, stop_by_interrupt
+from lambent.render.plugins import settle
 from lambent.startup import engine
 
 _VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
@@ -26,6 +27,7 @@ def mitsuba(device: str = "auto") -> Any:
     try:
         mi = importlib.import_module("mitsuba")
     except ImportError as error:
+        stop_by_interrupt(error)
         raise EngineError(
             f"rendering needs Mitsuba, which cannot be imported ({error})",
             remedy="pip install 'lambent[render]'",
@@ -35,10 +37,12 @@ def mitsuba(device: str = "auto") -> Any:
         try:
             mi.set_variant(_VARIANTS[backend])
         except Exception as error:
+            stop_by_interrupt(error)
             raise EngineError(
                 f"Mitsuba has no variant {_VARIANTS[backend]}: {error}",
                 remedy="pip install --force-reinstall 'lambent[render]'",
             ) from error
+    settle(mi)  # before anything could load a plug-in from the current folder
     dr = importlib.import_module("drjit")
     if dr.thread_count() < 2:
         # with one processor Mitsuba 3.9 waits for ever while it loads a scene of many meshes

@@ -8,14 +8,13 @@ moved to where the instance has them, and then the scene is built.
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import LambentError, OptionError
-from lambent.render.scene import LoadedScene, load
+from lambent.errors import LambentError, OptionError, stop_by_interrupt
+from lambent.render.scene import LoadedScene, build, load
 from lambent.render.variant import mitsuba
 
 
@@ -33,12 +32,13 @@ def load_for_light(source: Any, **options: Any) -> LoadedScene:
             "the scene in memory has instances, which cannot be told apart",
             remedy="give the scene's file, or shapes in place of instances",
         )
-    texts = {k: str(v) for k, v in (options.get("parameters") or {}).items()}
     try:
-        scene = _unfolded(mitsuba(options.get("device", "auto")), loaded.path, texts)
+        mi = mitsuba(options.get("device", "auto"))
+        scene = build(mi, loaded.path, options.get("parameters") or {}, _unfold)
     except LambentError:
         raise
     except Exception as error:
+        stop_by_interrupt(error)
         raise OptionError(
             f"its instances cannot be unfolded: {error}",
             file=loaded.path,
@@ -54,14 +54,8 @@ def load_for_light(source: Any, **options: Any) -> LoadedScene:
 # ------------------------------------------------------------------- private
 
 
-def _unfolded(mi: Any, path: Path, parameters: dict[str, str]) -> Any:
-    parser = mi.parser
-    config = parser.ParserConfig(mi.variant())
-    config.merge_meshes = False
-    config.merge_equivalent = False
-    state = parser.parse_file(config, str(path), **parameters)
-    parser.transform_all(config, state)
-    nodes = state.nodes
+def _unfold(mi: Any, nodes: Any) -> None:
+    """Put the shapes of its group in the place of every instance."""
     for number in range(len(nodes)):
         for key, target in _references(mi, nodes[number].props):
             child = nodes[target]
@@ -79,8 +73,6 @@ def _unfolded(mi: Any, path: Path, parameters: dict[str, str]) -> Any:
             del props[key]
             for k, index in enumerate(made):
                 props[f"{key}_{k}"] = mi.Properties.ResolvedReference(index)
-    built = parser.instantiate(config, state)
-    return built[0] if isinstance(built, list) else built
 
 
 def _references(mi: Any, props: Any) -> list[tuple[str, int]]:
