@@ -1,4 +1,4 @@
-"""Archives from anybody: what is sound comes back, what is not is refused before it costs anything."""
+"""Archives from anybody: what is sound comes back, the rest is refused before it costs much."""
 
 import io
 import json
@@ -58,9 +58,7 @@ def test_what_is_written_comes_back(sound):
     archive = read_archive(sound, "field")
     assert archive.card["name"] == "x"
     check_card(archive, {"name": str, "error": float | None})
-    np.testing.assert_array_equal(
-        arrays_of(archive, {"a": (np.float32, ("N", 3))})["a"], ARRAY
-    )
+    np.testing.assert_array_equal(arrays_of(archive, {"a": (np.float32, ("N", 3))})["a"], ARRAY)
 
 
 def test_the_same_content_is_the_same_file(sound, tmp_path):
@@ -169,7 +167,7 @@ def test_packed_otherwise(sound):
 
 
 def test_two_members_of_one_name(sound):
-    with zipfile.ZipFile(sound, "a") as more, pytest.warns(UserWarning):
+    with zipfile.ZipFile(sound, "a") as more, pytest.warns(UserWarning, match="Duplicate"):
         more.writestr("a.npy", b"x")
     with pytest.raises(DamagedFileError, match="two members"):
         read_archive(sound, "field")

@@ -26,7 +26,7 @@ import types
 import typing
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,7 @@ _SMALL, _LARGEST_RATIO = 64 << 20, 100
 
 @dataclass(frozen=True, eq=False)
 class Archive:
-    """A checked archive. ``card``: see the module; ``members``: bytes by name; ``path``: its file."""
+    """A checked archive. ``card``: see the module; ``members``: bytes by name."""
 
     card: Mapping[str, Any]
     members: Mapping[str, bytes]
@@ -118,7 +118,8 @@ def write_archive(
 
     Raises `OutputError`.
     """
-    assert kind in KINDS and all(_NAME.fullmatch(name) and name != CARD for name in members)
+    assert kind in KINDS
+    assert all(_NAME.fullmatch(name) and name != CARD for name in members)
     sums = {name: hashlib.sha256(content).hexdigest() for name, content in members.items()}
     full = {**card, "kind": kind, "format": FORMAT, "sha256": sums}
     content = {CARD: json.dumps(full, indent=1).encode(), **members}
@@ -179,7 +180,8 @@ def arrays_of(
         if not fits:
             raise _damaged(
                 archive,
-                f"{name} is {array.dtype.name} {array.shape}, not {np.dtype(dtype).name} ({wanted})",
+                f"{name} is {array.dtype.name} {array.shape}, "
+                f"not {np.dtype(dtype).name} ({wanted})",
             )
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise _damaged(archive, f"{name} has values that are not finite")
@@ -219,7 +221,10 @@ def _checked_directory(
     if wrong:
         raise DamagedFileError(f"is damaged: {wrong}", file=path, remedy=remedy)
     total = sum(info.file_size for info in infos.values())
-    if infos[CARD].file_size > _LARGEST_CARD or total > _SMALL + _LARGEST_RATIO * path.stat().st_size:
+    if (
+        infos[CARD].file_size > _LARGEST_CARD
+        or total > _SMALL + _LARGEST_RATIO * path.stat().st_size
+    ):
         raise DamagedFileError(
             f"is damaged: {path.stat().st_size:,} bytes that unpack to {total:,}",
             file=path,
@@ -249,9 +254,12 @@ def _card(
             remedy=remedy,
         )
     sums = card.get("sha256")
-    if not _fits(sums, dict[str, str]) or set(sums) != set(infos) - {CARD}:
+    each = isinstance(sums, dict) and _fits(sums, dict[str, str])
+    if not isinstance(sums, dict) or not each or set(sums) != set(infos) - {CARD}:
         raise DamagedFileError(
-            "is damaged: its card does not have a checksum for each member", file=path, remedy=remedy
+            "is damaged: its card does not have a checksum for each member",
+            file=path,
+            remedy=remedy,
         )
     return card
 

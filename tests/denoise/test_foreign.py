@@ -35,11 +35,19 @@ CARD = {"reads": "pixels", "channels": 3, "margin": 4}
 
 
 def test_ours_pass_when_they_are_copied_elsewhere(tmp_path):
-    for name, options in (("lambent-fast", {}), ("kpcn", {}), ("dpcn", {}), ("modular", {}), ("dncnn", {})):
+    for name, options in (
+        ("lambent-fast", {}),
+        ("kpcn", {}),
+        ("dpcn", {}),
+        ("modular", {}),
+        ("dncnn", {}),
+    ):
         path = tmp_path / f"{name}.lambent"
         path.write_bytes(find_model(name).read_bytes())
         copy = lambent.denoise(NOISY, model=name, weights=str(path), **options)
-        np.testing.assert_array_equal(copy.colour, lambent.denoise(NOISY, model=name, **options).colour)
+        np.testing.assert_array_equal(
+            copy.colour, lambent.denoise(NOISY, model=name, **options).colour
+        )
 
 
 def test_a_graph_of_another_purpose_may_run(tmp_path):

@@ -4,13 +4,13 @@ import hashlib
 import json
 import zipfile
 
+import boxes
 import numpy as np
 import pytest
 
 import lambent
 from lambent.archive import packed_array
 from lambent.errors import FileError
-from tests.transport import boxes
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,13 @@ def no_roots(child):
 
 @pytest.mark.parametrize(
     "change",
-    [a_child_out_of_range, a_child_that_is_its_parent, a_negative_child, two_parents_of_one, no_roots],
+    [
+        a_child_out_of_range,
+        a_child_that_is_its_parent,
+        a_negative_child,
+        two_parents_of_one,
+        no_roots,
+    ],
 )
 def test_trees_that_are_none(content, tmp_path, change):
     child = array(content, "child")

@@ -16,9 +16,33 @@ from lambent.errors import DamagedFileError
 
 #: The operations that `lambent.learn.export` writes.
 _OPERATIONS = frozenset(
-    "Add AvgPool BatchNormInference Concat Constant Convert Convolution Divide Elu FakeQuantize "
-    "GroupConvolution Interpolate LeakyRelu Maximum MaxPool Minimum Multiply Parameter PRelu Relu "
-    "Result Sigmoid Slice Subtract Tanh".split()
+    [
+        "Add",
+        "AvgPool",
+        "BatchNormInference",
+        "Concat",
+        "Constant",
+        "Convert",
+        "Convolution",
+        "Divide",
+        "Elu",
+        "FakeQuantize",
+        "GroupConvolution",
+        "Interpolate",
+        "LeakyRelu",
+        "Maximum",
+        "MaxPool",
+        "Minimum",
+        "Multiply",
+        "Parameter",
+        "PRelu",
+        "Relu",
+        "Result",
+        "Sigmoid",
+        "Slice",
+        "Subtract",
+        "Tanh",
+    ]
 )
 #: The edge of the inputs for which sizes are looked at, and the most channels a tensor may have.
 _EDGE, _MOST_CHANNELS = 64, 4096

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ _CARD = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RadiositySolution:
     """What `lambent.solve(scene, method="radiosity")` returns.
 
@@ -84,6 +85,26 @@ class RadiositySolution:
     seconds: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
     error: float | None = None
+
+    def __repr__(self) -> str:
+        scene = self.scene or "a scene in memory"
+        unfinished = ", interrupted" if self.interrupted else ""
+        return f"<RadiositySolution of {scene}: {len(self):,} patches{unfinished}>"
+
+    def _repr_html_(self) -> str:
+        """What it is of and how far it got, for Jupyter."""
+        facts = {
+            "scene": self.scene or "in memory",
+            "method": METHOD,
+            "patches": f"{len(self):,}",
+            "residual": f"{self.history.residuals[-1]:.2g}" if self.history.residuals else "",
+            "error of form factors": "" if self.error is None else f"{100 * self.error:.1f} %",
+            "seconds": f"{sum(self.seconds.values()):.1f}",
+            "interrupted": "yes" if self.interrupted else "",
+            "notes": " ".join(self.notes),
+        }
+        rows = (f"<tr><th>{k}</th><td>{escape(v)}</td></tr>" for k, v in facts.items() if v)
+        return f"<table>{''.join(rows)}</table>"
 
     def __len__(self) -> int:
         """Number of patches."""
@@ -192,7 +213,9 @@ class RadiositySolution:
         check_card(archive, _CARD)
         card, path = archive.card, archive.path
         if card["method"] != METHOD:
-            raise FileError(f"holds a solution by {card['method'][:40]}, not by {METHOD}", file=path)
+            raise FileError(
+                f"holds a solution by {card['method'][:40]}, not by {METHOD}", file=path
+            )
         arrays = arrays_of(archive, _ARRAYS)
         wrong = _wrong_cells(**{name: arrays[name] for name in ("child", "prim", "cell_patch")})
         if not wrong and len(arrays["live"]) != 2 * (int(arrays["cell_patch"].max()) + 1):
@@ -243,9 +266,10 @@ def _wrong_cells(
     if (child[inner] <= inner).any():
         return "a cell comes after its children"
     children = child[inner, None] + np.arange(4)
-    if not np.array_equal(prim[:roots], np.arange(roots)) or (
-        prim[children] != prim[inner, None]
-    ).any():
+    if (
+        not np.array_equal(prim[:roots], np.arange(roots))
+        or (prim[children] != prim[inner, None]).any()
+    ):
         return "its cells belong to other surfaces than their parents"
     if (cell_patch < -1).any() or (cell_patch[inner] != -1).any() or cell_patch.max() < 0:
         return "its cells belong to no patch"
