@@ -2,19 +2,24 @@
 
 The verbs and records below are imported when first used: `import lambent` alone loads no
 NumPy, Dr.Jit or OpenEXR, so that scripts and `lambent --help` start at once.
+
+``lambent.denoise`` and ``lambent.render`` are functions, though there are packages of these names,
+too: ``from lambent.denoise.pipeline import Settings`` goes to the package.
 """
 
 from __future__ import annotations
 
 import importlib
+import sys
+import types
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
 # Public name -> module that holds it.
 _PUBLIC = {
-    "denoise": "lambent.denoise",  # the package, which can be called; see its docstring
-    "render": "lambent.render",  # likewise
+    "denoise": "lambent.denoise.pipeline",
+    "render": "lambent.render.job",
     "solve": "lambent.transport.solve",
     "open_solution": "lambent.transport.solution",
     "train": "lambent.learn.train",
@@ -55,11 +60,23 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'lambent' has no attribute {name!r}")
-    module = importlib.import_module(_PUBLIC[name])
-    value = module if name in ("denoise", "render") else getattr(module, name)
+    value = getattr(importlib.import_module(_PUBLIC[name]), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+class _Package(types.ModuleType):
+    """This module. Python binds a package to its name here as soon as anything in it is imported;
+    verbs that have a package of their name stay the verbs.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _PUBLIC and isinstance(value, types.ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -73,5 +73,8 @@ class Registry(Mapping[str, Any]):
         yield from self._own
         yield from (n for n in self._plugins if n not in self._own)
 
+    def __repr__(self) -> str:
+        return f"<Registry of {self.kind}s: {', '.join(self)}>"
+
     def __len__(self) -> int:
         return sum(1 for _ in self)

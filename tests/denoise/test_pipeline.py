@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import textwrap
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -96,15 +99,24 @@ def test_array_in_frame_out():
     assert out.has(Role.ALBEDO)
 
 
-def test_the_verb_and_the_package_are_one():
-    """Importing a part of the package must not hide the function of its name, nor vice versa."""
-    import inspect
-
-    import lambent.denoise.tiles
-
-    assert callable(lambent.denoise)
-    assert lambent.denoise.tiles.plan_tiles is not None
-    assert "strength" in inspect.signature(lambent.denoise).parameters
+@pytest.mark.parametrize("verb", ["denoise", "render"])
+def test_a_verb_stays_a_function_whatever_is_imported_of_its_package(verb):
+    """Python binds a package to its name in the parent when anything in it is imported."""
+    script = f"""
+        import inspect, pydoc
+        import lambent.{verb}.{"tiles" if verb == "denoise" else "scene"}
+        from lambent.{verb} import {"files" if verb == "denoise" else "motion"}
+        import lambent
+        assert inspect.isfunction(lambent.{verb}), lambent.{verb}
+        from lambent import {verb}
+        assert inspect.isfunction({verb})
+        text = pydoc.plain(pydoc.render_doc(lambent.{verb}))
+        assert {'"strength: float"' if verb == "denoise" else '"spp: "'} in text, text[:400]
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_four_channels_are_colour_and_alpha():

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from lambent.render import variant
 from lambent.render.variant import mitsuba
 
 mi = mitsuba()
@@ -16,7 +17,7 @@ mi = mitsuba()
 import drjit as dr
 
 import lambent
-import lambent.render.integrator
+import lambent.render.integrator  # noqa: F401 (registers the plug-in)
 from lambent.render.surface import describe
 
 from . import scenes
@@ -160,7 +161,7 @@ def test_the_variant_is_chosen_and_errors_name_the_remedy(monkeypatch):
 
     assert mi.variant() == "llvm_ad_rgb"
     with pytest.raises(EngineError, match="no device 'tpu'"):
-        lambent.render.variant.mitsuba("tpu")
+        variant.mitsuba("tpu")
 
 
 def test_one_processor_is_enough():

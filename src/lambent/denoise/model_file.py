@@ -1,10 +1,9 @@
 """A learned model as one file: its network, what it reads, and its card. Nothing in it is code.
 
-The file is a ZIP archive (``.lambent``)::
+The file is an archive (`lambent.archive`) of the kind ``model``::
 
     card.json      what the model is: name, size, what it reads (a key of `READS`) and the
-                   version of that, how it was trained on what, its scores, and the SHA-256 of the
-                   other members
+                   version of that, how it was trained on what, its scores
     network.xml    the network as OpenVINO reads it
     network.bin    its weights
 
@@ -14,29 +13,49 @@ fine-tuning begins with, are read back from the same numbers (`learn.export`).
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from lambent.archive import KINDS, SUFFIX, Archive, check_card, read_archive, write_archive
 from lambent.denoise import inputs, lobes
 from lambent.errors import DamagedFileError, FileError, UnknownNameError
-from lambent.frame.atomic import atomic
-from lambent.frame.magic import begins_as
 
-SUFFIX = ".lambent"
-#: The version of the file itself.
-FORMAT = 1
 #: What a network may read, and the version of its description: `inputs`, `lobes`, or the values of
 #: a display-referred picture themselves.
 READS: Mapping[str, int] = {"signals": inputs.VERSION, "lobes": lobes.VERSION, "pixels": 1}
-CARD, NETWORK, WEIGHTS = "card.json", "network.xml", "network.bin"
+NETWORK, WEIGHTS = "network.xml", "network.bin"
+
+#: Keys of a card and their types: those that every model has, and those that it may have.
+_ALWAYS = {"sha256": dict[str, str]}
+_PERHAPS = {
+    "name": str,
+    "recipe": dict[str, Any],
+    "step": int,
+    "hours": float,
+    "trained_with": dict[str, str | None],
+    "score": dict[str, float],
+    "score_says": str,
+    "curve": list[list[float]],
+    "parameters": int,
+    "macs": int,
+    "margin": int,
+    "channels": int,
+    "options": dict[str, Any],
+    "data": list[dict[str, Any]],
+    "begun_with": list[dict[str, Any]],
+    "known_failures": list[str],
+    "int8": bool,
+}
+#: Values that sizes follow from: what needs them, lowest and highest.
+_RANGES = {
+    "lobes": {"margin": (0, 512)},
+    "pixels": {"margin": (0, 512), "channels": (1, 3)},
+}
+_OPTION_RANGES = {"kernel": (1, 41), "width": (1, 4096), "scales": (1, 6)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,48 +72,29 @@ def read_model(path: str | os.PathLike[str], reads: str | None = None) -> ModelF
     """A model from a file; ``reads``: what it must read, a key of `READS` (None: anything).
 
     Raises `FileError`: missing, no model, of another kind, made for another version of Lambent;
-    `DamagedFileError`: cut off, or not what its checksums say.
+    `DamagedFileError`: cut off, not what its checksums say, or with a card that makes no sense.
     """
-    path = Path(path)
-    remedy = "name a model that lambent train has made, or install Lambent again"
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = set(archive.namelist())
-            if not {CARD, NETWORK, WEIGHTS} <= names:
-                raise FileError("is no model of Lambent", file=path, remedy=remedy)
-            card = json.loads(archive.read(CARD))
-            network, weights = archive.read(NETWORK), archive.read(WEIGHTS)
-    except FileNotFoundError:
-        raise FileError("there is no such model", file=path, remedy=remedy) from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
-        if zipfile.is_zipfile(path) or begins_as(path, "zip"):
-            raise DamagedFileError(f"is damaged: {error}", file=path, remedy=remedy) from None
-        raise FileError("is no model of Lambent", file=path, remedy=remedy) from None
-    except OSError as error:
-        raise FileError(f"cannot be read: {error}", file=path, remedy=remedy) from None
-    if not isinstance(card, dict) or "sha256" not in card:
+    archive = read_archive(path, "model")
+    path, card, remedy = archive.path, archive.card, KINDS["model"][1]
+    if not {NETWORK, WEIGHTS} <= set(archive.members):
         raise FileError("is no model of Lambent", file=path, remedy=remedy)
     kind = card.get("reads", "signals")  # models from before there were others do not say
-    version = READS.get(kind)
-    if card.get("format") != FORMAT or version is None or card.get("inputs") != version:
+    version = READS.get(kind) if isinstance(kind, str) else None
+    if version is None or card.get("inputs") != version:
         raise FileError(
-            f"was made for another version of Lambent (format {card.get('format')}, inputs "
-            f"{card.get('inputs')} of {kind}; here {FORMAT} and {version})",
+            f"was made for another version of Lambent (inputs {str(card.get('inputs'))[:40]} of "
+            f"{str(kind)[:40]}; here {version})",
             file=path,
             remedy="train or export it again with this version",
         )
+    _check_values(archive, kind)
     if reads is not None and kind != reads:
         raise FileError(
             f"is a model that reads {kind}, not {reads}",
             file=path,
             remedy=f"it was made for --model {card.get('recipe', {}).get('task', 'lambent')}",
         )
-    for name, data in ((NETWORK, network), (WEIGHTS, weights)):
-        if hashlib.sha256(data).hexdigest() != card["sha256"].get(name):
-            raise DamagedFileError(
-                f"is damaged: {name} is not what its checksum says", file=path, remedy=remedy
-            )
-    return ModelFile(card, network, weights, path)
+    return ModelFile(card, archive.members[NETWORK], archive.members[WEIGHTS], path)
 
 
 def write_model(
@@ -108,25 +108,9 @@ def write_model(
 
     Raises `OutputError`.
     """
-    sums = {
-        name: hashlib.sha256(data).hexdigest()
-        for name, data in ((NETWORK, network), (WEIGHTS, weights))
-    }
     reads = card.get("reads", "signals")
-    full = {**card, "reads": reads, "format": FORMAT, "inputs": READS[reads], "sha256": sums}
-    with (
-        atomic(path, overwrite) as handle,
-        zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive,
-    ):
-        for name, data in (
-            (CARD, json.dumps(full, indent=1).encode()),
-            (NETWORK, network),
-            (WEIGHTS, weights),
-        ):
-            # a fixed date, so that the same model is the same file
-            info = zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0))
-            info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, data)
+    full = {**card, "reads": reads, "inputs": READS[reads]}
+    write_archive(path, "model", full, {NETWORK: network, WEIGHTS: weights}, overwrite)
 
 
 def shipped() -> dict[str, Path]:
@@ -160,4 +144,26 @@ def loaded_model(name: str, reads: str) -> ModelFile:
     return _loaded[key]
 
 
+# ------------------------------------------------------------------- private
+
 _loaded: dict[str, ModelFile] = {}
+
+
+def _check_values(archive: Archive, reads: str) -> None:
+    """Whether the card's values have their types and lie in their ranges."""
+    card = archive.card
+    check_card(archive, {**_ALWAYS, **{k: v for k, v in _PERHAPS.items() if k in card}})
+    ranges = _RANGES.get(reads, {})
+    check_card(archive, dict.fromkeys(ranges, int))
+    if reads == "lobes":
+        check_card(archive, {"options": dict[str, Any]})
+    options = card.get("options", {})
+    numbers = [(name, card[name], *limits) for name, limits in ranges.items()]
+    numbers += [(n, options[n], *limits) for n, limits in _OPTION_RANGES.items() if n in options]
+    for name, value, low, high in numbers:
+        if type(value) is not int or not low <= value <= high:
+            raise DamagedFileError(
+                f"is damaged: '{name}' of its card is {str(value)[:40]}, not {low} to {high}",
+                file=archive.path,
+                remedy=KINDS["model"][1],
+            )

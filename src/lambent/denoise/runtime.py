@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.denoise.foreign import check_graph
 from lambent.denoise.model_file import ModelFile
 from lambent.denoise.prepare import packed_memory
 from lambent.denoise.views import two_views
@@ -216,6 +217,7 @@ def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> 
         options["INFERENCE_NUM_THREADS"] = threads
     try:
         graph = core.read_model(model.network, model.weights)
+        check_graph(model, graph, OUTPUTS)
         if not _is_pyramid(model):
             return Network(core.compile_model(graph, "CPU", options))
         step = _with_short_input(graph)

@@ -19,7 +19,7 @@ or of the logarithm of specular light: of these no bias of the picture follows, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -56,15 +56,15 @@ class Explanation:
     model: str
     pixel: tuple[int, int]
     origin: tuple[int, int]
-    weights: FloatImage
-    crop: FloatImage
+    weights: FloatImage = field(repr=False)
+    crop: FloatImage = field(repr=False)
     sum: float
-    least: float
-    greatest: float
-    variance_reduction: float
+    least: float = field(repr=False)
+    greatest: float = field(repr=False)
+    variance_reduction: float = field(repr=False)
     effective_pixels: float
-    bias: tuple[float, float, float] | None
-    bias_from: str
+    bias: tuple[float, float, float] | None = field(repr=False)
+    bias_from: str = field(repr=False)
     exposure: float
 
     def as_dict(self) -> dict[str, Any]:

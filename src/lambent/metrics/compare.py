@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,6 +28,9 @@ Thing = Any  # a path, a Frame, or an array
 
 #: Called before each metric of each image with (what comes, how many are done, how many in all).
 Progress = Callable[[str, int, int], None]
+
+
+_ARROWS = {"lower": "↓", "higher": "↑"}
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,30 @@ class Comparison:
     _pairs: Mapping[str, Pair] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
+        width, height = self.size
+        against = "" if self.reference is None else f" against {self.reference.name}"
+        names = ", ".join(row.name for row in self.rows)
+        return f"<Comparison {width}x{height}{against}: {names}>"
+
+    def __str__(self) -> str:
         return self.markdown()
+
+    def _repr_html_(self) -> str:
+        """The table, for Jupyter."""
+        kinds: list[Metric] = [METRICS[name] for name in self.metrics]
+        head = "".join(f"<th>{escape(k.title)} {_ARROWS[k.better]}</th>" for k in kinds)
+        body = []
+        for row in self.rows:
+            cells = []
+            for kind in kinds:
+                text = number(row.values[kind.name])
+                bold = row.name in self.best(kind.name)
+                cells.append(f"<td>{f'<b>{text}</b>' if bold else text}</td>")
+            body.append(f"<tr><th>{escape(row.name)}</th>{''.join(cells)}</tr>")
+        return (
+            f"<table><thead><tr><th>image</th>{head}</tr></thead>"
+            f"<tbody>{''.join(body)}</tbody></table>"
+        )
 
     @property
     def size(self) -> tuple[int, int]:
@@ -134,9 +161,8 @@ class Comparison:
     def markdown(self) -> str:
         """The table in Markdown; the best value of each metric in bold."""
         kinds: list[Metric] = [METRICS[name] for name in self.metrics]
-        arrow = {"lower": "↓", "higher": "↑"}
         lines = [
-            "| image | " + " | ".join(f"{k.title} {arrow[k.better]}" for k in kinds) + " |",
+            "| image | " + " | ".join(f"{k.title} {_ARROWS[k.better]}" for k in kinds) + " |",
             "|---|" + "---:|" * len(kinds),
         ]
         for row in self.rows:
@@ -151,7 +177,7 @@ class Comparison:
 
 def compare(
     reference: Thing | None,
-    images: Mapping[str, Thing] | Iterable[Any],
+    images: Mapping[str, Thing] | Iterable[Any] | Thing,
     metrics: Iterable[str] | None = None,
     exposure: float | None = None,
     *,
@@ -163,8 +189,8 @@ def compare(
 
     ``reference``: a path, a `Frame` or an array ``(H, W, 3)`` of linear radiance; or None, then
     nothing is measured and maps show the change from the first image. ``images``: the same by
-    name, or an iterable of paths (named by their stems). ``metrics``: names from `METRICS`
-    (default: all). ``exposure``: the factor before the tone map (default: the reference's
+    name, one image alone, or an iterable of paths (named by their stems). ``metrics``: names from
+    `METRICS` (default: all). ``exposure``: the factor before the tone map (default: the reference's
     automatic one). ``reference_variance``: see `lambent.metrics.relmse`. ``details``: by name of
     image (or "reference"), facts to show beside it, such as ``{"model": "oidn", "seconds": 0.9}``.
     Raises `LayerError` naming both images and sizes where sizes differ, `UnknownNameError` for an
@@ -238,7 +264,7 @@ def number(value: float) -> str:
 def _named(images: Mapping[str, Thing] | Iterable[Any]) -> dict[str, Thing]:
     if isinstance(images, Mapping):
         return {str(name): thing for name, thing in images.items()}
-    if isinstance(images, (str, Path)):
+    if isinstance(images, (str, Path, Frame, Picture, np.ndarray)):  # one image
         images = [images]
     named: dict[str, Thing] = {}
     for index, thing in enumerate(images, 1):

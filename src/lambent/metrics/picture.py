@@ -21,7 +21,7 @@ class Picture:
     """
 
     name: str
-    image: FloatArray
+    image: FloatArray = field(repr=False)
     path: str | None = None
     spp: int | None = None
     details: Mapping[str, Any] = field(default_factory=dict)

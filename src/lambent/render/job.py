@@ -7,6 +7,7 @@ it grows.
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -172,6 +173,16 @@ def render_all(
             "has no place for a frame number", file=output, remedy="take -o shot.####.exr"
         )
     return _shot(job, moving, numbers, output)
+
+
+def _signature_of_render() -> inspect.Signature:
+    """For ``help``: the options of `render_all`, and `render`'s own first parameter."""
+    first, *others = inspect.signature(render_all).parameters.values()
+    returned = inspect.signature(render).return_annotation
+    return inspect.Signature([first.replace(name="scene"), *others], return_annotation=returned)
+
+
+render.__signature__ = _signature_of_render()  # type: ignore[attr-defined]
 
 
 # ------------------------------------------------------------------- private

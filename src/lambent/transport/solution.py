@@ -14,11 +14,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from lambent.archive import check_card, read_archive
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.scene import LoadedScene
-from lambent.transport.solution_file import read_solution
 
 Progress = Callable[[float, float, str], None]
 #: Samples a pixel of views that are without noise, and of those that gather.
@@ -46,8 +46,9 @@ def open_solution(path: str | os.PathLike[str]) -> Any:
 
     Raises `FileError`, `DamagedFileError`, `UnknownNameError`.
     """
-    card, _ = read_solution(path)
-    return method_class(card["method"]).load(path)
+    archive = read_archive(path, "solution")
+    check_card(archive, {"method": str})
+    return method_class(archive.card["method"]).load(path)
 
 
 def method_class(name: str) -> Any:

@@ -9,27 +9,50 @@ from __future__ import annotations
 import hashlib
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
+from html import escape
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import FileError
+from lambent.archive import arrays_of, check_card, packed_array, read_archive, write_archive
+from lambent.errors import DamagedFileError, FileError
 from lambent.frame.frame import Frame
 from lambent.transport.radiosity.patches import Cells, Patches
 from lambent.transport.radiosity.solvers import History
-from lambent.transport.solution_file import read_solution, write_solution
 from lambent.transport.surfaces import Array, Surfaces
 
 METHOD = "radiosity"
-_ARRAYS = (
-    "child", "prim", "corner", "cell_patch", "reflectance", "emission", "direct", "indirect",
-    "residual", "live",
-)  # fmt: skip
+#: The arrays of its file: cells T, faces F.
+_ARRAYS: dict[str, tuple[Any, tuple[int | str, ...]]] = {
+    "child": (np.int32, ("T",)),
+    "prim": (np.int32, ("T",)),
+    "corner": (np.float32, ("T", 3, 2)),
+    "cell_patch": (np.int32, ("T",)),
+    "reflectance": (np.float32, ("F", 3)),
+    "emission": (np.float32, ("F", 3)),
+    "direct": (np.float32, ("F", 3)),
+    "indirect": (np.float32, ("F", 3)),
+    "residual": (np.float32, ("F", 3)),
+    "live": (np.bool_, ("F",)),
+}
+#: The keys of its card.
+_CARD = {
+    "method": str,
+    "scene": str | None,
+    "geometry": str,
+    "scene_digest": str,
+    "parameters": dict[str, str],
+    "settings": dict[str, Any],
+    "notes": list[str],
+    "seconds": dict[str, float],
+    "interrupted": bool,
+    "error": float | None,
+    "history": dict[str, list[float]],
+}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RadiositySolution:
     """What `lambent.solve(scene, method="radiosity")` returns.
 
@@ -62,6 +85,26 @@ class RadiositySolution:
     seconds: dict[str, float] = field(default_factory=dict)
     interrupted: bool = False
     error: float | None = None
+
+    def __repr__(self) -> str:
+        scene = self.scene or "a scene in memory"
+        unfinished = ", interrupted" if self.interrupted else ""
+        return f"<RadiositySolution of {scene}: {len(self):,} patches{unfinished}>"
+
+    def _repr_html_(self) -> str:
+        """What it is of and how far it got, for Jupyter."""
+        facts = {
+            "scene": self.scene or "in memory",
+            "method": METHOD,
+            "patches": f"{len(self):,}",
+            "residual": f"{self.history.residuals[-1]:.2g}" if self.history.residuals else "",
+            "error of form factors": "" if self.error is None else f"{100 * self.error:.1f} %",
+            "seconds": f"{sum(self.seconds.values()):.1f}",
+            "interrupted": "yes" if self.interrupted else "",
+            "notes": " ".join(self.notes),
+        }
+        rows = (f"<tr><th>{k}</th><td>{escape(v)}</td></tr>" for k, v in facts.items() if v)
+        return f"<table>{''.join(rows)}</table>"
 
     def __len__(self) -> int:
         """Number of patches."""
@@ -97,7 +140,9 @@ class RadiositySolution:
 
     def check(self, surfaces: Surfaces, scene: object = None) -> None:
         """Raises `FileError` unless this was solved for these very surfaces."""
-        if digest_of(surfaces) != self.digest:
+        cells = Cells(surfaces, self.child, self.prim, self.corner)
+        fits = self.prim.max() + 1 == len(surfaces) and digest_of(surfaces) == self.digest
+        if not fits or (self.cell_patch[cells.leaves] < 0).any():
             raise FileError(
                 "the solution is of another scene, or the scene's shapes have changed since",
                 file=scene,
@@ -158,19 +203,31 @@ class RadiositySolution:
             "error": self.error,
             "history": vars(self.history),
         }
-        write_solution(path, card, {name: getattr(self, name) for name in _ARRAYS}, overwrite)
+        members = {f"{name}.npy": packed_array(getattr(self, name)) for name in _ARRAYS}
+        write_archive(path, "solution", card, members, overwrite)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RadiositySolution:
         """Read it from a file. Raises `FileError`, `DamagedFileError`."""
-        card, arrays = read_solution(path)
+        archive = read_archive(path, "solution")
+        check_card(archive, _CARD)
+        card, path = archive.card, archive.path
         if card["method"] != METHOD:
             raise FileError(
-                f"holds a solution by {card['method']}, not by {METHOD}", file=Path(path)
+                f"holds a solution by {card['method'][:40]}, not by {METHOD}", file=path
             )
-        missing = [name for name in _ARRAYS if name not in arrays]
-        if missing:
-            raise FileError(f"lacks {', '.join(missing)}", file=Path(path))
+        arrays = arrays_of(archive, _ARRAYS)
+        wrong = _wrong_cells(**{name: arrays[name] for name in ("child", "prim", "cell_patch")})
+        if not wrong and len(arrays["live"]) != 2 * (int(arrays["cell_patch"].max()) + 1):
+            wrong = f"{len(arrays['live'])} faces are not two for each patch"
+        if not wrong and set(card["history"]) != set(vars(History())):
+            wrong = "the history on its card lacks something"
+        if wrong:
+            raise DamagedFileError(
+                f"is damaged: {wrong}",
+                file=path,
+                remedy="solve the scene again: lambent solve SCENE -o FILE",
+            )
         return cls(
             **arrays,
             history=History(**card["history"]),
@@ -192,3 +249,30 @@ def digest_of(surfaces: Surfaces) -> str:
     digest.update(surfaces.matrix.astype(np.float32).tobytes())
     digest.update(surfaces.flip.astype(np.int8).tobytes())
     return digest.hexdigest()[:32]
+
+
+def _wrong_cells(
+    child: NDArray[np.int32], prim: NDArray[np.int32], cell_patch: NDArray[np.int32]
+) -> str:
+    """What is wrong with trees from a file (see `radiosity.patches.Cells`), or "".
+
+    A loop or a number out of range would lead the kernels out of their memory, or nowhere.
+    """
+    inner = np.flatnonzero(child != -1)
+    roots = len(child) - 4 * len(inner)
+    first = np.sort(child[inner])
+    if roots <= 0 or not np.array_equal(first, roots + 4 * np.arange(len(inner))):
+        return "its cells are not the children of one another"
+    if (child[inner] <= inner).any():
+        return "a cell comes after its children"
+    children = child[inner, None] + np.arange(4)
+    if (
+        not np.array_equal(prim[:roots], np.arange(roots))
+        or (prim[children] != prim[inner, None]).any()
+    ):
+        return "its cells belong to other surfaces than their parents"
+    if (cell_patch < -1).any() or (cell_patch[inner] != -1).any() or cell_patch.max() < 0:
+        return "its cells belong to no patch"
+    if len(np.unique(cell_patch[cell_patch >= 0])) != int(cell_patch.max()) + 1:
+        return "it has patches without cells"
+    return ""
