@@ -14,7 +14,8 @@
 
 Features (albedos, normal, depth, position, roughness) are those of the first rough vertex, or of
 the last mirror where there is none; albedos carry the throughput up to there, depth is the length
-of the way. Those of the very first hit are kept, too.
+of the way. Normals are those that the BSDF shades with (bump and normal maps applied), towards the
+viewer. Those of the very first hit are kept, too.
 """
 
 from __future__ import annotations
@@ -126,15 +127,19 @@ def book(
 def look(bsdf: Any, si: Any, active: Any, options: PathOptions) -> Surface:
     """What surfaces look like where ``active``; nothing if no book wants to know it."""
     if not (options.features or options.lighting):
-        return Surface(mi.Color3f(0), mi.Color3f(0), mi.Float(0))
+        return Surface(mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Vector3f(0, 0, 1))
     found: Surface = dr.dispatch(bsdf, describe, si, active)
     return found
 
 
 def diffuse_share(seen: Surface, si: Any, wo: Any, value: Any) -> Any:
-    """Share of the Lambertian part ρ_d |cos θ| / π in ``value`` = f |cos θ|, each channel."""
+    """Share of the Lambertian part ρ_d |cos θ| / π in ``value`` = f |cos θ|, each channel.
+
+    θ is the angle to the normal that the BSDF shades with.
+    """
     same_side = si.wi.z * wo.z > 0
-    lambert = seen.diffuse * dr.select(same_side, dr.abs(wo.z) * dr.inv_pi, 0)
+    cosine = dr.abs(dr.dot(seen.normal, wo))
+    lambert = seen.diffuse * dr.select(same_side, cosine * dr.inv_pi, 0)
     return dr.select(value > lambert, lambert / value, dr.select(value > 0, 1.0, 0.0))
 
 
@@ -143,7 +148,8 @@ def note_features(s: Any, seen: Surface, si: Any, here: Any, options: PathOption
     if not options.features:
         return
     books = s.books
-    normal = dr.mulsign(si.sh_frame.n, dr.dot(si.sh_frame.n, -s.ray.d))
+    normal = si.to_world(seen.normal)
+    normal = dr.mulsign(normal, dr.dot(normal, -s.ray.d))
     now = {
         "diffuse_albedo": s.throughput * seen.diffuse,
         "specular_albedo": s.throughput * seen.specular,

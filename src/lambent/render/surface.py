@@ -1,17 +1,23 @@
-"""What a surface looks like before light falls on it: albedos and roughness, without noise.
+"""What a surface looks like before light falls on it: albedos, roughness, normal, without noise.
 
 A denoiser wants features that do not depend on random numbers. Mitsuba's BSDFs tell a diffuse
 reflectance and little else, so `describe` walks through a BSDF's own children (textures and nested
-BSDFs) and states three things for the point that is seen:
+BSDFs) and states four things for the point that is seen:
 
 ``diffuse``   reflectance of the Lambertian part, ρ_d; what Bako et al. 2017 divide diffuse light by
 ``specular``  what the rest reflects or lets through at this angle: Fresnel reflectance of metals
               (complex index), Schlick's for the principled BSDF, 1 for smooth glass
 ``roughness`` in [0, 1], perceptual: the square root of a microfacet α, 1 for diffuse surfaces,
               0 for mirrors and clear glass
+``normal``    the one that the BSDF shades with, in the frame of the interpolated vertex normal
 
 Wrappers (two-sided, mask, bump and normal map) are looked through, blends are blended. A class that
 is not known here keeps its ``eval_diffuse_reflectance`` and is taken as rough without specular.
+
+Bump and normal maps turn the shading frame before the BSDF inside them is asked. Mitsuba tells the
+turned frame to C++ alone, and not through wrappers, so it is built here as Mitsuba 3.9 does, with
+``flip_invalid_normals`` at its default: a normal that faces away from the viewer is turned about
+the unperturbed one.
 """
 
 from __future__ import annotations
@@ -28,11 +34,16 @@ from lambent.kernels.extremes import greater, smaller
 
 @dataclass
 class Surface:
-    """Albedos (colour, in [0, 1]) and roughness (in [0, 1]) of a point that is seen."""
+    """Albedos (colour, in [0, 1]), roughness (in [0, 1]) and normal of a point that is seen.
+
+    ``normal``: unit length, in the coordinates of ``si.sh_frame`` of the interaction described,
+    on either side; (0, 0, 1) unless a map or a two-sided material turns it.
+    """
 
     diffuse: Any
     specular: Any
     roughness: Any
+    normal: Any
 
 
 def describe(bsdf: Any, si: Any, active: Any) -> Surface:
@@ -41,12 +52,12 @@ def describe(bsdf: Any, si: Any, active: Any) -> Surface:
     Called once for each BSDF of the scene while a kernel is recorded (`drjit.dispatch`).
     """
     if bsdf is None:  # a scene without any surface
-        return Surface(mi.Color3f(0), mi.Color3f(0), mi.Float(0))
+        return _plain(mi.Color3f(0), mi.Color3f(0), mi.Float(0))
     kind = bsdf.class_name()
     handler = _HANDLERS.get(kind)
     if handler is None:
         diffuse = _unit(bsdf.eval_diffuse_reflectance(si, active))
-        return Surface(_colour(diffuse), mi.Color3f(0), mi.Float(1))
+        return _plain(_colour(diffuse), mi.Color3f(0), mi.Float(1))
     return handler(bsdf, _children(bsdf), si, active)
 
 
@@ -54,7 +65,7 @@ def describe(bsdf: Any, si: Any, active: Any) -> Surface:
 
 
 def _smooth_diffuse(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
-    return Surface(_texture(parts["reflectance"], si, active), mi.Color3f(0), mi.Float(1))
+    return _plain(_texture(parts["reflectance"], si, active), mi.Color3f(0), mi.Float(1))
 
 
 def _conductor(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -68,7 +79,7 @@ def _conductor(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfac
         specular[channel] = mi.fresnel_conductor(cosine, index)
     if tint is not None:
         specular *= _texture(tint, si, active)
-    return Surface(mi.Color3f(0), _unit(specular), _alpha(parts, si, active))
+    return _plain(mi.Color3f(0), _unit(specular), _alpha(parts, si, active))
 
 
 def _plastic(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -79,11 +90,11 @@ def _plastic(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
     if tint is not None:
         specular *= _texture(tint, si, active)
     diffuse = _texture(parts["diffuse_reflectance"], si, active)
-    return Surface(diffuse, _unit(specular), _alpha(parts, si, active))
+    return _plain(diffuse, _unit(specular), _alpha(parts, si, active))
 
 
 def _dielectric(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
-    return Surface(mi.Color3f(0), mi.Color3f(1), _alpha(parts, si, active))
+    return _plain(mi.Color3f(0), mi.Color3f(1), _alpha(parts, si, active))
 
 
 def _principled(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -103,7 +114,7 @@ def _principled(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfa
     lost = (1 - metallic) * (1 - f0)
     diffuse = base * ((1 - metallic) * (1 - through))
     specular = reflected + dr.sqrt(base) * (lost * through)
-    return Surface(diffuse, _unit(specular), rough)
+    return _plain(diffuse, _unit(specular), rough)
 
 
 # ------------------------------------------------------------------ wrappers
@@ -112,15 +123,65 @@ def _principled(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surfa
 def _two_sided(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
     front = parts["brdf_0"]
     back = parts.get("brdf_1", front)
-    seen = describe(front, si, active)
-    if back is front:
-        return seen
-    return _mixed(seen, describe(back, si, active), dr.select(si.wi.z > 0, 0.0, 1.0))
+    # The side that is away is the mirror image of the front: the viewer is put in front of it.
+    upright = mi.SurfaceInteraction3f(si)
+    upright.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+    seen = describe(front, upright, active)
+    if back is not front:
+        behind = describe(back, upright, active)
+        seen = _mixed(seen, behind, dr.select(si.wi.z > 0, 0.0, 1.0))
+    seen.normal.z = dr.mulsign(seen.normal.z, si.wi.z)
+    return seen
 
 
 def _nested(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
-    inner = next(part for name, part in parts.items() if "bsdf" in name)
-    return describe(inner, si, active)
+    return describe(_inner(parts), si, active)
+
+
+def _bump_map(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
+    """The normal of the surface displaced by the texture: its tangents, tilted by the slope."""
+    slope = mi.Float(parts["scale"]) * parts["nested_texture"].eval_1_grad(si, active)
+    up = si.sh_frame.n
+    along_u = dr.fma(up, slope.x - dr.dot(up, si.dp_du), si.dp_du)
+    along_v = dr.fma(up, slope.y - dr.dot(up, si.dp_dv), si.dp_dv)
+    normal = dr.cross(along_u, along_v)
+    normal = dr.mulsign(normal, dr.dot(si.n, normal))
+    # The tangent is not brought into local coordinates: no more does Mitsuba 3.9.
+    return _turned(parts, si.to_local(normal), si.dp_du, si, active)
+
+
+def _normal_map(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
+    local = dr.fma(mi.Vector3f(parts["normalmap"].eval_3(si, active)), 2, -1)
+    return _turned(parts, local, mi.Vector3f(1, 0, 0), si, active)
+
+
+def _turned(parts: dict[str, Any], normal: Any, tangent: Any, si: Any, active: Any) -> Surface:
+    """What is inside a map, in a shading frame about ``normal`` (of any length, in that of ``si``).
+
+    A normal that faces away from the viewer is turned about the plain one. One that is nought or
+    not finite, as of an empty texel, is the plain one.
+    """
+    away = si.wi.z * dr.dot(si.wi, normal) <= 0
+    normal = dr.select(away, mi.Vector3f(-normal.x, -normal.y, normal.z), mi.Vector3f(normal))
+    normal = _unit_length(normal, mi.Vector3f(0, 0, 1))
+    s = _unit_length(dr.fma(-normal, dr.dot(normal, tangent), tangent), mi.Vector3f(1, 0, 0))
+    frame = mi.Frame3f(s, dr.cross(normal, s), normal)
+    inside = mi.SurfaceInteraction3f(si)
+    inside.sh_frame = mi.Frame3f(si.to_world(frame.s), si.to_world(frame.t), si.to_world(frame.n))
+    inside.wi = frame.to_local(si.wi)
+    seen = describe(_inner(parts), inside, active)
+    seen.normal = frame.to_world(seen.normal)
+    return seen
+
+
+def _unit_length(vector: Any, otherwise: Any) -> Any:
+    """The vector made a unit vector, where that can be done."""
+    scale = dr.rsqrt(dr.squared_norm(vector))
+    return dr.select((scale > 0) & dr.isfinite(scale), vector * scale, otherwise)
+
+
+def _inner(parts: dict[str, Any]) -> Any:
+    return next(part for name, part in parts.items() if "bsdf" in name)
 
 
 def _blend(bsdf: Any, parts: dict[str, Any], si: Any, active: Any) -> Surface:
@@ -141,8 +202,8 @@ _HANDLERS = {
     "PrincipledThin": _principled,
     "TwoSidedBRDF": _two_sided,
     "MaskBSDF": _nested,
-    "BumpMap": _nested,
-    "NormalMap": _nested,
+    "BumpMap": _bump_map,
+    "NormalMap": _normal_map,
     "BlendBSDF": _blend,
 }
 
@@ -207,9 +268,16 @@ def _colour(value: Any) -> Any:
     return mi.Color3f(value[0], value[1], value[2]) if len(value) == 3 else mi.Color3f(value[0])
 
 
+def _plain(diffuse: Any, specular: Any, roughness: Any) -> Surface:
+    """A surface whose normal is the interpolated one."""
+    return Surface(diffuse, specular, roughness, mi.Vector3f(0, 0, 1))
+
+
 def _mixed(a: Surface, b: Surface, weight: Any) -> Surface:
+    normal = dr.lerp(a.normal, b.normal, weight)
     return Surface(
         dr.lerp(a.diffuse, b.diffuse, weight),
         dr.lerp(a.specular, b.specular, weight),
         dr.lerp(a.roughness, b.roughness, weight),
+        _unit_length(normal, mi.Vector3f(0, 0, 1)),
     )

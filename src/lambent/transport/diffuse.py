@@ -25,7 +25,7 @@ from lambent.transport.warps import cosine_hemisphere
 #: With a reflectance of 1 all around, light would never end; more than this counts as this.
 HIGHEST = 0.99
 #: Materials that are diffuse already, possibly behind a wrapper.
-_DIFFUSE = ("SmoothDiffuse", "TwoSidedBRDF")
+_DIFFUSE = ("SmoothDiffuse", "TwoSidedBRDF", "BumpMap", "NormalMap")
 #: Those that show something on both sides, alone or inside a wrapper (as they print themselves).
 _TWO_SIDED = ("TwoSided", "SmoothDielectric", "ThinDielectric", "RoughDielectric", "PrincipledThin")
 
@@ -33,7 +33,7 @@ _TWO_SIDED = ("TwoSided", "SmoothDielectric", "ThinDielectric", "RoughDielectric
 def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> list[str]:
     """What the diffuse world takes for what, in a scene: a sentence each, for a person."""
     kinds: dict[str, int] = {}
-    masks = hulls = media = 0
+    masks = maps = hulls = media = 0
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         if bsdf is None:
@@ -45,6 +45,7 @@ def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> list[s
             hulls += 1
             continue
         masks += name == "MaskBSDF"
+        maps += "BumpMap" in text or "NormalMap" in text
         inner = "SmoothDiffuse" in text and not _others(text)
         if name not in _DIFFUSE or not inner:
             shown = _others(text) or [name]
@@ -56,6 +57,8 @@ def assumptions(scene: Any, left_out: dict[str, int], degenerate: int) -> list[s
         said.append(f"taken as diffuse with their albedo: {listed}")
     if masks:
         said.append(f"opacity masks are taken as solid: {masks} shapes")
+    if maps:
+        said.append(f"bump and normal maps are left out, their surfaces flat: {maps} shapes")
     if hulls:
         said.append(
             f"hulls without a surface are solid and black, and hide what is in them: {hulls}"
