@@ -29,7 +29,7 @@ def records():
     yield lambent.solve(ROOM, patches=60)
 
 
-@pytest.mark.parametrize("record", records(), ids=lambda r: type(r).__name__)
+@pytest.mark.parametrize("record", list(records()), ids=lambda r: type(r).__name__)
 def test_reprs_are_short(record):
     text = repr(record)
     assert "array(" not in text

@@ -111,7 +111,7 @@ def test_a_verb_stays_a_function_whatever_is_imported_of_its_package(verb):
         from lambent import {verb}
         assert inspect.isfunction({verb})
         text = pydoc.plain(pydoc.render_doc(lambent.{verb}))
-        assert {'"strength: float"' if verb == "denoise" else '"spp: "'} in text, text[:400]
+        assert {'"strength:"' if verb == "denoise" else '"spp:"'} in text, text[:400]
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True
