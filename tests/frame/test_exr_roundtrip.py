@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import struct
 from pathlib import Path
@@ -13,8 +14,10 @@ import pytest
 
 from lambent.errors import LambentError, LayerError, OutputError
 from lambent.frame.exr import ExrFile, decode, encode
+from lambent.frame.exr import pixels as exrpixels
 from lambent.frame.exr import whole as exrwhole
 from lambent.frame.exr import write as exrwrite
+from lambent.frame.exr.header import coordinates
 from lambent.frame.exr.pixels import decode_rows
 from lambent.frame.exr.whole import read_whole
 from lambent.frame.exr.write import shrink, to_type
@@ -155,10 +158,17 @@ def test_lossy_part_is_repacked_only_where_needed(tmp_path: Path) -> None:
         assert back.parts[1].compression == exr.parts[1].compression
 
 
-def mipmapped(mode: int, round_up: bool, tmp_path: Path) -> ExrFile:
+def mipmapped(
+    mode: int,
+    round_up: bool,
+    tmp_path: Path,
+    compression: str = "ZIP_COMPRESSION",
+    order: str = "INCREASING_Y",
+) -> ExrFile:
     """A mip- or rip-mapped file: OpenEXR's module cannot write one, so ours is turned into one.
 
     Level by level as single-level tiles from the module, put together here by the format's rules.
+    The finest level is the same all over, which any compression keeps; the others are noise.
     """
     height, width, size = 21, 38, 8
     rng = np.random.default_rng(5)
@@ -178,12 +188,16 @@ def mipmapped(mode: int, round_up: bool, tmp_path: Path) -> ExrFile:
         shape = at(height, ly), at(width, lx)
         tiles = OpenEXR.TileDescription()
         tiles.xSize = tiles.ySize = size
+        noise = np.ones(shape) if (lx, ly) == (0, 0) else rng.random(shape)
         pixels = {
-            "Z": rng.random(shape, np.float32),
+            "Z": noise.astype(np.float32),
             "id": rng.integers(0, 99, shape, dtype=np.uint32),
+            "H": np.exp(9 * noise).astype(np.float16),
+            "P": OpenEXR.Channel("P", np.exp(9 * noise).astype(np.float16), 1, 1, True),
         }
         header = {"type": OpenEXR.tiledimage, "tiles": tiles,
-                  "compression": OpenEXR.ZIP_COMPRESSION}  # fmt: skip
+                  "lineOrder": OpenEXR.LineOrder.__members__[order],
+                  "compression": OpenEXR.Compression.__members__[compression]}  # fmt: skip
         OpenEXR.File(header, pixels).write(str(tmp_path / "level.exr"))
         one = decode(tmp_path / "level.exr").container
         raw = (tmp_path / "level.exr").read_bytes()
@@ -222,6 +236,29 @@ def test_levels_survive(mode: int, round_up: bool, tmp_path: Path) -> None:
         assert (pixels == 7).all()  # a grey picture stays grey on every level
 
 
+@pytest.mark.parametrize("mode", [1, 2])
+@pytest.mark.parametrize("compression", ["PXR24", "B44", "B44A", "DWAA", "DWAB"])
+def test_lossy_levels_survive(compression: str, mode: int, tmp_path: Path) -> None:
+    """A compression that keeps others at the finest level may change them at smaller ones: no.
+
+    Chunks of a few pixels are not packed at all, so they held all bits, in B44A until a channel
+    becomes flat. B44 takes logarithms of channels marked so ("P"), others it changes only once.
+    """
+    exr = mipmapped(mode, False, tmp_path, f"{compression}_COMPRESSION")
+    for name, value in itertools.product(("Z", "H", "P", "id"), (None, 1)):
+        old = exr.parts[0].channels[name].data
+        new = pattern(old) if value is None else np.full_like(old, value)
+        notes = encode(tmp_path / "out.exr", exr, {(0, name): new}, True)
+        back = decode(tmp_path / "out.exr")
+        assert_same_but(exr, back, {(0, name)})
+        kept = back.parts[0].compression == compression.lower()
+        assert any("packed with ZIP" in note for note in notes) != kept
+        assert_same_headers(exr, back, repacked=not kept)
+    if compression == "PXR24":
+        encode(tmp_path / "out.exr", exr, {(0, "Z"): np.ones((21, 38), np.float32)}, True)
+        assert decode(tmp_path / "out.exr").parts[0].compression == "pxr24"
+
+
 def test_shrink_is_the_mean() -> None:
     """Known answer, even and odd sizes; ids are picked, never mixed."""
     image = np.arange(12, dtype=np.float32).reshape(2, 6)
@@ -244,18 +281,56 @@ def test_opaque_attributes_and_their_order_survive(tmp_path: Path) -> None:
     assert back.container.parts[0].attributes[0].name == "secret"
 
 
-def test_line_order_is_kept(tmp_path: Path) -> None:
-    """Chunks of an untouched part keep their order in the file (decreasing y)."""
-    content = bytearray(exr_samples.content(parts=2, extra={"lineOrder": OpenEXR.DECREASING_Y}))
+def chunk_rows(exr: ExrFile, part: int) -> dict[tuple[int, int], list[int]]:
+    """By level: the rows of chunks as they come in the file."""
+    found: dict[tuple[int, int], list[int]] = {}
+    header = exr.container.parts[part]
+    places = coordinates(header)
+    for n in np.argsort(exr.container.chunks[part].start):
+        row = int(places[n][1] if header.tiles else places[n][0])
+        found.setdefault(tuple(places[n][2:].tolist()), []).append(row)
+    return found
+
+
+@pytest.mark.parametrize("bands", [False, True])
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("compression", ["NO_COMPRESSION", "ZIP_COMPRESSION", "DWAA_COMPRESSION"])
+def test_line_order_is_kept(
+    compression: str, tiled: bool, parts: int, bands: bool, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Chunks lie in decreasing y as the header says, in parts copied and packed anew."""
+    content = exr_samples.content(
+        compression, tiled=tiled, parts=parts, extra={"lineOrder": OpenEXR.DECREASING_Y}
+    )
     (tmp_path / "in.exr").write_bytes(content)
     exr = decode(tmp_path / "in.exr")
-    start = exr.container.chunks[1].start
-    assert (np.diff(start) < 0).all()
-    encode(tmp_path / "out.exr", exr, {(0, "R"): exr.parts[0].channels["R"].data})
+    if bands:
+        monkeypatch.setattr(exrpixels, "BAND_BYTES", 4000)
+        monkeypatch.setattr(exrwrite, "write_whole", lambda *_: False)
+    encode(tmp_path / "out.exr", exr, {(0, "R"): pattern(exr.parts[0].channels["R"].data)})
     back = decode(tmp_path / "out.exr")
-    assert (np.diff(back.container.chunks[1].start) < 0).all()
-    assert back.parts[0].header["lineOrder"] == "decreasing"
-    assert_same_but(exr, back, set())
+    for part in range(parts):
+        assert back.parts[part].header["lineOrder"] == "decreasing"
+        for rows in chunk_rows(back, part).values():
+            assert rows == sorted(rows, reverse=True)
+    assert_same_but(exr, back, {(0, "R")})
+    assert len(exr_samples.bare(tmp_path / "out.exr")) == parts
+
+
+@pytest.mark.parametrize("mode", [1, 2])
+def test_line_order_of_levels(mode: int, tmp_path: Path) -> None:
+    """Within a level tiles go upwards, levels from fine to coarse: the format's rule."""
+    exr = mipmapped(mode, True, tmp_path, order="DECREASING_Y")
+    encode(tmp_path / "out.exr", exr, {(0, "Z"): np.ones((21, 38), np.float32)})
+    back = decode(tmp_path / "out.exr")
+    found = chunk_rows(back, 0)
+    assert list(found) == [(level.lx, level.ly) for level in back.container.parts[0].levels]
+    assert max(len(set(rows)) for rows in found.values()) > 1
+    for rows in found.values():
+        assert rows == sorted(rows, reverse=True)
+    assert_same_but(exr, back, {(0, "Z")})
 
 
 def test_channel_names_that_are_no_text(tmp_path: Path) -> None:
@@ -269,10 +344,40 @@ def test_channel_names_that_are_no_text(tmp_path: Path) -> None:
     assert (decode(tmp_path / "out.exr").parts[0].channels[name].data == 3).all()
 
 
+@pytest.mark.parametrize("compression", exr_samples.COMPRESSIONS)
+def test_colours_named_in_latin_1(compression: str, tmp_path: Path) -> None:
+    """Every compression, DWA too, which tells colours by what their names end in."""
+    values = exr_samples.arrays()
+    channels = {f"licht_{x}.{c}": values[c] for x in ("_", "~") for c in "RGB"}
+    channels |= {"RGBA"[n]: values["RGBA"[n]] for n in range(4)} | {"depth.Z": values["depth.Z"]}
+    content = exr_samples.content(compression, channels=channels)
+    (tmp_path / "utf8.exr").write_bytes(content)
+    content = content.replace(b"licht__.", b"licht_\xe4.").replace(b"licht_~.", b"licht_\xfc.")
+    (tmp_path / "in.exr").write_bytes(content)
+    wanted = decode(tmp_path / "utf8.exr").parts[0].channels
+    exr = decode(tmp_path / "in.exr")
+    got = exr.parts[0].channels
+    for name, channel in wanted.items():
+        raw = name.encode().replace(b"__", b"_\xe4").replace(b"_~", b"_\xfc")
+        twin = got[raw.decode("utf-8", "surrogateescape")]
+        assert twin.data.tobytes() == channel.data.tobytes()
+    encode(tmp_path / "out.exr", exr, {(0, "R"): pattern(values["R"])})
+    back = decode(tmp_path / "out.exr")
+    assert_same_but(exr, back, {(0, "R")})
+    new = {(0, name): channel.data for name, channel in got.items()}
+    encode(tmp_path / "all.exr", exr, new)
+    renamed = (tmp_path / "all.exr").read_bytes()
+    renamed = renamed.replace(b"licht_\xe4.", b"licht__.").replace(b"licht_\xfc.", b"licht_~.")
+    (tmp_path / "all.exr").write_bytes(renamed)
+    encode(tmp_path / "twin.exr", decode(tmp_path / "utf8.exr"),
+           {(0, name): channel.data for name, channel in wanted.items()})  # fmt: skip
+    (again,), (twin,) = (exr_samples.bare(tmp_path / f"{n}.exr") for n in ("all", "twin"))
+    assert all(again[name].tobytes() == twin[name].tobytes() for name in wanted)
+
+
 def test_rows_and_fill_equal_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading in bands gives what reading at once gives, for rows, tiles, and windows anywhere."""
     from lambent.frame.exr import file as exrfile
-    from lambent.frame.exr import pixels as exrpixels
 
     monkeypatch.setattr(exrfile, "KEEP_BYTES", 0)
     monkeypatch.setattr(exrpixels, "BAND_BYTES", 3000)
@@ -296,7 +401,6 @@ def test_writing_in_bands_equals_writing_at_once(
 ) -> None:
     """Small bands bound the memory and change nothing."""
     from lambent.frame.exr import file as exrfile
-    from lambent.frame.exr import pixels as exrpixels
 
     for tiled in (False, True):
         (tmp_path / "in.exr").write_bytes(exr_samples.content(tiled=tiled, parts=2))
@@ -351,6 +455,25 @@ def test_texts_can_be_added_to_the_header(tmp_path: Path) -> None:
     assert header["note"] == "longer text"
     assert header[long_name] == "x"
     assert_same_but(exr, decode(tmp_path / "b.exr"), set())
+
+
+def test_text_that_another_attribute_quotes(tmp_path: Path) -> None:
+    """An attribute whose bytes are those of an older text's entry stays; the text is replaced."""
+    old = b"stamp\0string\0" + struct.pack("<i", 3) + b"old"
+    (tmp_path / "in.exr").write_bytes(exr_samples.content(extra={"note": "n" * len(old)}))
+    quoting = (tmp_path / "in.exr").read_bytes().replace(b"n" * len(old), old)
+    (tmp_path / "in.exr").write_bytes(quoting)
+    first = decode(tmp_path / "in.exr")
+    encode(tmp_path / "a.exr", first, {}, attributes={"stamp": "old"})
+    for replaced in ({}, {(0, "R"): pattern(first.parts[0].channels["R"].data)}):
+        exr = decode(tmp_path / "a.exr")
+        encode(tmp_path / "b.exr", exr, replaced, True, attributes={"stamp": "a longer one"})
+        back = decode(tmp_path / "b.exr")
+        assert back.parts[0].header["stamp"] == "a longer one"
+        assert back.container.parts[0].find("note").raw == old
+        names = [a.name for a in back.container.parts[0].attributes]
+        assert names == [a.name for a in exr.container.parts[0].attributes]
+        assert_same_but(exr, back, {(0, "R")})
 
 
 def test_existing_target_is_refused(tmp_path: Path) -> None:

@@ -131,6 +131,11 @@ class PartHeader:
         """Whether a channel is stored at less than full resolution."""
         return any(c.x_sampling > 1 or c.y_sampling > 1 for c in self.channels)
 
+    @property
+    def upwards(self) -> bool:
+        """Whether the last rows come first in the file (the line order "decreasing")."""
+        return self.values.get("lineOrder") == "decreasing"
+
     def find(self, name: str) -> Attribute | None:
         """An attribute by name, or None."""
         return next((a for a in self.attributes if a.name == name), None)

@@ -35,6 +35,8 @@ BAND_BYTES = 32 << 20
 NONE, ZIP = 0, 3
 #: Bytes copied at once.
 _COPY = 4 << 20
+#: Bytes of the longest name that the format allows.
+LONGEST_NAME = 255
 #: Compressions whose library prints remarks.
 _TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 #: Compressions that unpack at the speed of memory.
@@ -206,11 +208,19 @@ def _codec_pieces(
 
 
 def safe_names(part: PartHeader) -> list[str]:
-    """Channel names for the module, which cannot show bytes that are no UTF-8 as text."""
+    """Channel names for the module, which cannot show bytes that are no UTF-8 as text.
+
+    Such bytes are read as Latin-1, in all names alike: that keeps their order, and with it that of
+    the pixels in a chunk, and whatever ASCII there is. DWA finds colours by it: ``.R``, ``.G`` and
+    ``.B`` behind the same beginning.
+    """
     try:
         return [c.raw.decode("utf-8") for c in part.channels]
     except UnicodeDecodeError:
-        return [f"c{n:06d}" for n in range(len(part.channels))]
+        names = [c.raw.decode("latin-1") for c in part.channels]
+    if max(len(name.encode()) for name in names) <= LONGEST_NAME:
+        return names
+    return [f"c{n:06d}" for n in range(len(names))]
 
 
 def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:

@@ -81,6 +81,8 @@ def write_whole(
     if COMPRESSIONS[part.compression] in _NOT_HERE:
         return False
     made = module_part(part, arrays, 0)
+    if part.upwards:
+        made.header["lineOrder"] = module().LineOrder.DECREASING_Y
     missing = len(start) - _header_length(part)
     if missing and missing < _SHORTEST:
         return False

@@ -4,7 +4,8 @@ What is not replaced stays:
 
 - parts without a replaced channel, and every header, are copied as they stand, byte for byte;
 - in a part with replaced channels the others keep their decoded values bit for bit. Where the
-  part's compression would change them (DWAA, DWAB; at times B44), it is packed with ZIP instead;
+  part's compression would change them at any level (DWAA, DWAB; at times PXR24, B44, B44A), it is
+  packed with ZIP instead;
 - lower levels of mip- and rip-maps are made anew for the replaced channels, by averaging;
 - a part with sub-sampled channels is packed with ZIP: the OpenEXR module cannot write those.
 
@@ -167,7 +168,8 @@ class _Repack:
         assert of.pixels is not None
         self.container, self.pixels, self.replaced = container, of.pixels, replaced
         part = self.part = of.pixels.packed
-        self.target, self.header = part, part.raw
+        self.target = part
+        self.changed: dict[str, bytes] = {}
         if not replaced:
             return
         title = f"part '{part.values.get('name')}'" if "name" in part.values else "the picture"
@@ -187,33 +189,32 @@ class _Repack:
             )
 
     def _take(self, compression: int) -> None:
-        """Use another compression; patch the header's bytes."""
+        """Use another compression, and say so in the header."""
         self.target = dataclasses.replace(self.part, compression=compression)
-        header = bytearray(self.part.raw)
-        for name, raw in (
-            ("compression", bytes([compression])),
-            ("chunkCount", struct.pack("<i", self.target.chunk_count)),
-        ):
-            found = self.part.find(name)
-            if found is not None:
-                header[found.at : found.at + len(found.raw)] = raw
-        self.header = bytes(header)
+        self.changed["compression"] = _entry("compression", "compression", bytes([compression]))
+        if self.part.find("chunkCount") is not None:
+            count = struct.pack("<i", self.target.chunk_count)
+            self.changed["chunkCount"] = _entry("chunkCount", "int", count)
 
     def add(self, attributes: Mapping[str, str]) -> None:
-        """Put texts into the header, before the byte that ends it."""
-        header = bytearray(self.header)
+        """Put texts into the header; one of the same name is replaced in its place."""
         for name, text in attributes.items():
-            key, value = name.encode() + b"\0string\0", text.encode()
-            entry = key + struct.pack("<i", len(value)) + value
-            old = self.part.find(name)
-            if old is not None:
-                lead = len(name.encode()) + 1 + len(old.kind.encode()) + 1 + 4
-                whole = bytes(self.part.raw[old.at - lead : old.at + len(old.raw)])
-                at = header.find(whole)
-                header[at : at + len(whole)] = entry
-            else:
-                header[-1:-1] = entry
-        self.header = bytes(header)
+            self.changed[name] = _entry(name, "string", text.encode())
+
+    @property
+    def header(self) -> bytes:
+        """The part's header: every attribute's bytes in their place, changed or not; new ones last.
+
+        Attributes are told apart by where they stand, never by what they hold: one may quote
+        another.
+        """
+        pieces, end = [], 0
+        for attribute in self.part.attributes:
+            begin, end = end, attribute.at + len(attribute.raw)
+            pieces.append(self.changed.get(attribute.name, self.part.raw[begin:end]))
+        known = {attribute.name for attribute in self.part.attributes}
+        pieces += [entry for name, entry in self.changed.items() if name not in known]
+        return b"".join(pieces) + b"\0"
 
     def _arrays(self, a: int, b: int, level: Level, shrunk: Mapping[str, Any]) -> Arrays:
         """Rows ``[a, b)`` of a level: the others decoded, the replaced ones as given."""
@@ -240,24 +241,32 @@ class _Repack:
         others = [c.name for c in self.part.channels if c.name not in self.replaced]
         if not others:
             return True
-        part, level = self.part, self.part.levels[0]
-        if COMPRESSIONS[part.compression] == "pxr24":
-            return self._keeps_24_bits(others)
-        # Mostly the first rows tell already.
-        first = [(0, min(part.lines, level.height))]
-        for a, b in itertools.chain(first, bands(part)):
-            if not survives(part, self._arrays(a, b, level, self.replaced), a, others):
+        check = self._keeps_24_bits
+        if COMPRESSIONS[self.part.compression] != "pxr24":
+            check = self._keeps_packed
+        shrunk: dict[tuple[int, int], dict[str, NDArray[Any]]] = {}
+        for level in self.part.levels:
+            here = _level_arrays(self.part, level, self.replaced, shrunk)
+            if not check(others, level, here):
                 return False
         return True
 
-    def _keeps_24_bits(self, others: list[str]) -> bool:
+    def _keeps_packed(self, others: list[str], level: Level, replaced: Mapping[str, Any]) -> bool:
+        """Whether the others at a level come back from being packed: tried out."""
+        # Mostly the first rows tell already.
+        first = [(0, min(self.part.lines, level.height))]
+        return all(
+            survives(self.part, self._arrays(a, b, level, replaced), a, others)
+            for a, b in itertools.chain(first, bands(self.part, level))
+        )
+
+    def _keeps_24_bits(self, others: list[str], level: Level, replaced: Mapping[str, Any]) -> bool:
         """PXR24 drops the last 8 bits of floats: nothing is lost where they are zero already.
 
         They are, but for chunks that the file holds unpacked since packing made them no smaller.
         """
-        level = self.part.levels[0]
-        for a, b in bands(self.part):
-            for name, rows in self._arrays(a, b, level, self.replaced).items():
+        for a, b in bands(self.part, level):
+            for name, rows in self._arrays(a, b, level, replaced).items():
                 if name not in others or rows.dtype != np.float32:
                     continue
                 if (np.ascontiguousarray(rows).view(np.uint32) & 0xFF).any():
@@ -298,24 +307,45 @@ class _Repack:
         return offsets
 
     def _write_packed(self, out: BinaryIO) -> NDArray[np.int64]:
+        """All chunks anew, in the line order that the header states."""
         part, target = self.part, self.target
         offsets: list[NDArray[np.int64]] = []
         shrunk: dict[tuple[int, int], dict[str, NDArray[Any]]] = {}
         for level in part.levels:
             here = _level_arrays(part, level, self.replaced, shrunk)
-            for a, b in bands(target if target.lines > part.lines else part, level):
+            runs = list(bands(target if target.lines > part.lines else part, level))
+            columns = -(-level.width // part.tiles.width) if part.tiles else 1
+            places = []
+            for a, b in reversed(runs) if part.upwards else runs:
                 arrays = self._arrays(a, b, level, here)
                 packed = encode_rows(target, arrays, a, level, self.container.multipart)
-                offsets.append(append(out, packed))
+                places.append(append(out, packed, columns if part.upwards else None))
+            offsets += reversed(places) if part.upwards else places
         return np.concatenate(offsets)
 
 
-def append(out: BinaryIO, packed: Packed) -> NDArray[np.int64]:
-    """Write chunks at the end; returns where each one starts."""
-    ends = out.tell() + np.cumsum(packed.sizes)
-    for piece in packed.pieces:
-        out.write(piece)
-    return ends - packed.sizes
+def _entry(name: str, kind: str, value: bytes) -> bytes:
+    """An attribute as it stands in a header."""
+    return b"\0".join([name.encode(), kind.encode(), struct.pack("<i", len(value)) + value])
+
+
+def append(out: BinaryIO, packed: Packed, upwards: int | None = None) -> NDArray[np.int64]:
+    """Write chunks at the end; returns where each one starts, in the order of ``packed``.
+
+    ``upwards``: write the last row of chunks first; a row has so many chunks.
+    """
+    at = out.tell()
+    if upwards is None:
+        out.writelines(packed.pieces)
+        return at + np.cumsum(packed.sizes) - packed.sizes
+    whole = memoryview(b"".join(packed.pieces))
+    begin = np.cumsum(packed.sizes) - packed.sizes
+    order = np.arange(len(begin)).reshape(-1, upwards)[::-1].ravel()
+    for start, size in zip(begin[order].tolist(), packed.sizes[order].tolist(), strict=True):
+        out.write(whole[start : start + size])
+    places = np.empty_like(begin)
+    places[order] = at + np.cumsum(packed.sizes[order]) - packed.sizes[order]
+    return places
 
 
 # -------------------------------------------------------------------- levels
