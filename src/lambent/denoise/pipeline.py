@@ -208,6 +208,7 @@ def denoise(
     file, names of layers; with an array, arrays ``(H, W, 3)`` (albedo in [0, 1], unit normals).
     ``roles``: role to layer name. ``max_memory``: bytes, or text such as ``"4G"``.
     ``threads``: of the engine; Dr.Jit has one pool, so its limit stays until another is set.
+    Of a stereo file the main view is taken, or the first that has a beauty (a note says so).
 
     Returns the whole frame with the filtered layers replaced. Raises `lambent.LambentError` and
     its kinds. Example::
@@ -350,6 +351,19 @@ def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: 
     return plan_tiles(height, width, per_pixel, denoiser.margin(), budget)
 
 
+def view_with_beauty(views: Mapping[str, Frame]) -> str:
+    """The first view that has a beauty. Raises `LayerError` if there is none."""
+    for name, frame in views.items():
+        if frame.has(Role.COLOUR):
+            return name
+    raise next(iter(views.values())).missing(Role.COLOUR)
+
+
+def without_beauty(view: str) -> str:
+    """How a view that there is nothing to filter in is named in notes."""
+    return f"the view '{view}' has no beauty"
+
+
 # ------------------------------------------------------------------- private
 
 
@@ -383,9 +397,7 @@ def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame
             return _remap(thing, settings.roles, albedo, normal)
         return _with_guides(thing, albedo, normal)
     if isinstance(thing, (str, Path)):
-        from lambent.frame.files import read
-
-        return read(thing, roles=settings.roles or None)
+        return _read(thing, settings)
     image = np.asarray(thing)
     if image.dtype == object or image.ndim not in (2, 3):
         raise OptionError(
@@ -402,6 +414,18 @@ def _as_frame(thing: Any, settings: Settings, albedo: Any, normal: Any) -> Frame
     else:
         frame = Frame.from_arrays(colour=image)
     return _with_guides(frame, albedo, normal)
+
+
+def _read(path: str | Path, settings: Settings) -> Frame:
+    """The main view of a file; if it has no beauty, the first view that has one, with a note."""
+    from lambent.frame.files import read, read_views
+
+    frame = read(path, roles=settings.roles or None)
+    if frame.has(Role.COLOUR) or not frame.view:
+        return frame
+    views = read_views(path, roles=settings.roles or None)
+    name = view_with_beauty(views)
+    return views[name].noted(f"{without_beauty(frame.view)}: this is the view '{name}'")
 
 
 def _with_guides(frame: Frame, albedo: Any, normal: Any) -> Frame:
