@@ -406,7 +406,9 @@ class _Extras:
         if not self.any:
             return {}
         assert result.output is not None
-        view = next(iter(processed.views))
+        from lambent.denoise.pipeline import view_with_beauty
+
+        view = view_with_beauty(processed.views)
         before, after = processed.before[view], processed.views[view]
         paths = self.paths(result.output)
         if "preview" in paths:

@@ -20,7 +20,14 @@ from typing import Any
 import numpy as np
 
 from lambent.denoise import memory
-from lambent.denoise.pipeline import Settings, choose_layers, clean, plan_frame
+from lambent.denoise.pipeline import (
+    Settings,
+    choose_layers,
+    clean,
+    plan_frame,
+    view_with_beauty,
+    without_beauty,
+)
 from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, OutputError
 from lambent.frame.frame import Frame
@@ -188,8 +195,18 @@ def check_guides(source: Path, output: Path, settings: Settings, number: int | N
 def process(
     loaded: Loaded, settings: Settings, progress: Progress | None = None, keep: bool = False
 ) -> Processed:
-    """Denoise every view. ``keep``: hold on to the input for a preview or a report."""
-    cleaned = {name: clean(view, settings, progress) for name, view in loaded.views.items()}
+    """Denoise every view that has a beauty; others stay as they are, with a note.
+
+    ``keep``: hold on to the input for a preview or a report. Raises `LayerError` if no view has a
+    beauty.
+    """
+    view_with_beauty(loaded.views)  # raises if there is nothing to filter at all
+    cleaned = {
+        name: clean(view, settings, progress)
+        for name, view in loaded.views.items()
+        if view.has(Role.COLOUR)
+    }
+    kept = [name for name in loaded.views if name not in cleaned]
     seconds = {"read": loaded.seconds}
     for one in cleaned.values():
         for stage, value in one.seconds.items():
@@ -204,14 +221,20 @@ def process(
         height=beauty.shape[0],
         spp=first.frame.spp,
         dialect=first.frame.dialect,
-        views=tuple(cleaned),
+        views=tuple(loaded.views),
         layers=_unique(name for one in cleaned.values() for name in one.layers),
-        notes=_unique(note for one in cleaned.values() for note in one.frame.notes),
+        notes=_unique(
+            [f"{without_beauty(name)} and stays as it is" for name in kept]
+            + [note for one in cleaned.values() for note in one.frame.notes]
+        ),
         repairs=_unique(line for one in cleaned.values() for line in one.repairs.sentences()),
         tiles=first.plan.describe() if first.plan else "",
         seconds=seconds,
     )
-    frames = {name: _released(_without_guides(one.frame)) for name, one in cleaned.items()}
+    frames = {
+        name: _released(_without_guides(cleaned[name].frame if name in cleaned else view))
+        for name, view in loaded.views.items()
+    }
     return Processed(loaded.source, frames, loaded.views if keep else {}, result)
 
 
@@ -290,41 +313,45 @@ def outline(
     source: Path, output: Path, settings: Settings, number: int | None = None
 ) -> dict[str, Any]:
     """What `denoise_file` would do, for ``--dry-run``: roles, layers, output, tiles."""
-    from lambent.frame.guides import is_guide
-
     loaded = load(source, settings, number)
-    views = {}
-    for name, frame in loaded.views.items():
-        denoiser = settings.denoiser()
-        if not frame.has(Role.COLOUR):
-            raise frame.missing(Role.COLOUR)
-        denoiser.check(frame)
-        chosen = choose_layers(frame, settings)
-        plan = plan_frame(frame, denoiser, chosen, settings)
-        views[name] = {
-            "roles": {
-                role.value if stat is Stat.MEAN else f"{role.value}.{stat.value}": layer.name
-                for (role, stat), layer in frame.layers.items()
-            },
-            "why": {layer.name: layer.why for layer in frame.layers.values()},
-            "filtered": [layer.name for layer in chosen],
-            "untouched": sorted(
-                layer.name
-                for layer in frame.all_layers()
-                if layer.name not in {c.name for c in chosen} and not is_guide(layer)
-            ),
-            "width": frame.width,
-            "height": frame.height,
-            "tiles": plan.describe(),
-            "notes": list(frame.notes),
-        }
+    first = loaded.views[view_with_beauty(loaded.views)]
     return {
         "source": str(source),
         "output": str(output),
         "model": settings.model,
-        "dialect": next(iter(loaded.views.values())).dialect,
+        "dialect": first.dialect,
         "strength": settings.strength,
-        "views": views,
+        "views": {name: _outlined(frame, settings) for name, frame in loaded.views.items()},
+    }
+
+
+def _outlined(frame: Frame, settings: Settings) -> dict[str, Any]:
+    """What would be done to one view."""
+    from lambent.frame.guides import is_guide
+
+    chosen, tiles, notes = [], "", [f"{without_beauty(frame.view)} and stays as it is"]
+    if frame.has(Role.COLOUR):
+        denoiser = settings.denoiser()
+        denoiser.check(frame)
+        chosen = choose_layers(frame, settings)
+        tiles, notes = plan_frame(frame, denoiser, chosen, settings).describe(), []
+    names = [layer.name for layer in chosen]
+    return {
+        "roles": {
+            role.value if stat is Stat.MEAN else f"{role.value}.{stat.value}": layer.name
+            for (role, stat), layer in frame.layers.items()
+        },
+        "why": {layer.name: layer.why for layer in frame.layers.values()},
+        "filtered": names,
+        "untouched": sorted(
+            layer.name
+            for layer in frame.all_layers()
+            if layer.name not in names and not is_guide(layer)
+        ),
+        "width": frame.width,
+        "height": frame.height,
+        "tiles": tiles,
+        "notes": [*notes, *frame.notes],
     }
 
 

@@ -218,6 +218,7 @@ def denoise(
     ``roles``: role to layer name, or to a file for any guide. ``spp``: samples per pixel.
     ``max_memory``: bytes, or text such as ``"4G"``.
     ``threads``: of the engine; Dr.Jit has one pool, so its limit stays until another is set.
+    Of a stereo file the main view is taken, or the first that has a beauty (a note says so).
 
     Returns the whole frame with the filtered layers replaced. Raises `lambent.LambentError` and
     its kinds. Example::
@@ -365,6 +366,19 @@ def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: 
     return plan_tiles(height, width, per_pixel, denoiser.margin(), budget)
 
 
+def view_with_beauty(views: Mapping[str, Frame]) -> str:
+    """The first view that has a beauty. Raises `LayerError` if there is none."""
+    for name, frame in views.items():
+        if frame.has(Role.COLOUR):
+            return name
+    raise next(iter(views.values())).missing(Role.COLOUR)
+
+
+def without_beauty(view: str) -> str:
+    """How a view that there is nothing to filter in is named in notes."""
+    return f"the view '{view}' has no beauty"
+
+
 # ------------------------------------------------------------------- private
 
 
@@ -394,11 +408,7 @@ class _Stages:
 
 def _as_frame(thing: Any, settings: Settings, arrays: Mapping[Role, Any]) -> Frame:
     if isinstance(thing, (str, Path)):
-        from lambent.denoise.files import roles_of
-        from lambent.frame.files import read
-
-        roles = roles_of(Path(thing), settings)
-        frame = read(thing, roles=roles or None, spp=settings.spp)
+        frame = _read(Path(thing), settings)
     else:
         frame = thing if isinstance(thing, Frame) else _of_array(thing)
         if settings.spp is not None:
@@ -424,6 +434,20 @@ def _of_array(thing: Any) -> Frame:
     if image.ndim == 3 and image.shape[2] == 4:
         return Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
     return Frame.from_arrays(colour=image)
+
+
+def _read(path: Path, settings: Settings) -> Frame:
+    """The main view of a file; if it has no beauty, the first view that has one, with a note."""
+    from lambent.denoise.files import roles_of
+    from lambent.frame.files import read, read_views
+
+    roles = roles_of(path, settings) or None
+    frame = read(path, roles=roles, spp=settings.spp)
+    if frame.has(Role.COLOUR) or not frame.view:
+        return frame
+    views = read_views(path, roles=roles, spp=settings.spp)
+    name = view_with_beauty(views)
+    return views[name].noted(f"{without_beauty(frame.view)}: this is the view '{name}'")
 
 
 def _remap(frame: Frame, settings: Settings) -> Frame:
