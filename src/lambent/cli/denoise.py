@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -163,6 +164,7 @@ def _run_one(
     as_json: bool,
 ) -> int:
     from lambent.denoise import files
+    from lambent.denoise.collisions import check_collisions
     from lambent.errors import OptionError
 
     if frames is not None:
@@ -171,8 +173,10 @@ def _run_one(
             remedy="give the input as a pattern, such as shot.####.exr",
         )
     target = files.output_for(source, output)
-    files.check_output(source, target, overwrite or dry_run, folder=output)
+    files.check_output(source, target, overwrite or dry_run)
     files.check_guides(source, target, settings)
+    guides = files.guides_of(source, settings)
+    check_collisions([(source, target)], extras.paths, guides)
     extras.check(target, overwrite or dry_run)
     if dry_run:
         plan = files.outline(source, target, settings)
@@ -268,14 +272,20 @@ def _run_many(
     from lambent.frame.sequence import format_range
 
     if len(sources) == 1:
-        jobs, missing = sequence.find_jobs(sources[0], frames, output)
+        found = sequence.find_jobs(sources[0], frames, output)
         what = Path(sources[0]).name or sources[0]
     else:
-        jobs, missing = sequence.listed_jobs(sources, output), ()
+        found = sequence.listed_jobs(sources, output)
         what = f"{len(sources)} files"
+    jobs, missing = found.jobs, found.missing
     if not jobs:
         raise FileError("holds no EXR file", file=what, remedy="check the name and --frames")
-    todo, finished = sequence.sort_out(jobs, settings, overwrite)
+    todo, finished = sequence.sort_out(jobs, settings, overwrite, extras.paths)
+    for job in todo:
+        # Beside a result that is there, they are of the same command, interrupted or outdated.
+        extras.check(job.output, overwrite or dry_run or os.path.exists(job.output))
+    for why, paths in _by_reason(found.left_out).items():
+        _say(f"left out: {_listing([path.name for path in paths])} ({why})")
     if missing:
         _say(f"missing: {format_range(missing)} ({_count(len(missing), 'frame')} of the range)")
     if dry_run:
@@ -301,6 +311,7 @@ def _run_many(
                 "done": [result.as_dict() for result in done],
                 "skipped": [str(job.output) for job in finished],
                 "missing": list(missing),
+                "left_out": {str(path): why for path, why in found.left_out.items()},
                 "failed": [
                     {"source": str(job.source), "error": error.message} for job, error in failed
                 ],
@@ -318,6 +329,13 @@ def _run_many(
         return failed[0][1].exit_code
     # Whoever names a range wants all of it: a script must see that frames were not there.
     return FileError.exit_code if missing and frames is not None else 0
+
+
+def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:
+    reasons: dict[str, list[Path]] = {}
+    for path, why in left_out.items():
+        reasons.setdefault(why, []).append(path)
+    return reasons
 
 
 def _print_line(result: Result, told: set[str]) -> None:
@@ -382,9 +400,11 @@ class _Extras:
 
     def paths(self, output: Path) -> dict[str, Path]:
         """Where they go, by kind."""
+        from lambent.denoise.files import PREVIEW_SUFFIX
+
         found = {}
         if self._preview:
-            found["preview"] = output.with_name(output.stem + "_preview.png")
+            found["preview"] = output.with_name(output.stem + PREVIEW_SUFFIX)
         if self._report:
             found["report"] = output.with_suffix(".html")
         return found

@@ -17,6 +17,7 @@ from lambent.errors import FileError, LayerError, OptionError, OutputError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import kind_of
+from lambent.frame.opening import open_file
 from lambent.frame.origin import Origin
 from lambent.frame.role import Role, Space
 
@@ -280,8 +281,6 @@ def _write_image(
 
 def _kind(path: Path) -> str:
     """The kind of a file by its first bytes. Raises `FileError` for what Lambent cannot read."""
-    from lambent.frame.exr.header import open_file
-
     descriptor = open_file(path)
     try:
         start = os.pread(descriptor, 16, 0)
