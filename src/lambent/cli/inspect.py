@@ -30,7 +30,9 @@ EPILOG = "Example: lambent inspect noisy.exr --map albedo=tex"
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF or HDR.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF, HDR or PFM.")
+    ],
     mapping: MapOption = None,
     spp: SppOption = None,
     report: Annotated[

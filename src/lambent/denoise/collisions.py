@@ -22,15 +22,21 @@ Pair = tuple[Path, Path]
 Companions = Callable[[Path], Mapping[str, Path]]
 
 
-def check_collisions(pairs: Iterable[Pair], companions: Companions | None = None) -> None:
+def check_collisions(
+    pairs: Iterable[Pair],
+    companions: Companions | None = None,
+    guides: Iterable[Path] = (),
+) -> None:
     """Raise `OutputError`, with both names, where one file would take the place of another.
 
+    ``companions``: what is written beside a result. ``guides``: files that are inputs too.
     A result that replaces its own input is no collision: that is what ``--overwrite`` allows.
     """
     pairs = list(pairs)
     inputs: dict[Hashable, Path] = {}
     for source, _ in pairs:
         inputs.setdefault(identity(source), source)
+    guided = {identity(path) for path in guides}
     written: dict[Hashable, tuple[str, Path]] = {}
     for source, output in pairs:
         beside = companions(output) if companions is not None else {}
@@ -39,6 +45,12 @@ def check_collisions(pairs: Iterable[Pair], companions: Companions | None = None
             if this in written:
                 raise _same_name(path, written[this], (kind, source))
             written[this] = (kind, source)
+            if this in guided:
+                raise OutputError(
+                    f"is the file of a guide, and would be replaced by the {kind} of '{source}'",
+                    file=path,
+                    remedy="write elsewhere with -o NAME",
+                )
             replaced = inputs.get(this)
             if replaced is not None and not (kind == "result" and this == identity(source)):
                 raise OutputError(

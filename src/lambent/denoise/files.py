@@ -22,7 +22,7 @@ import numpy as np
 from lambent.denoise import memory
 from lambent.denoise.pipeline import Settings, choose_layers, clean, plan_frame
 from lambent.denoise.tiles import Progress
-from lambent.errors import OutputError
+from lambent.errors import FileError, OutputError
 from lambent.frame.atomic import check_target, refuse_stdout
 from lambent.frame.frame import Frame
 from lambent.frame.opening import exists, refuse_special, unreadable

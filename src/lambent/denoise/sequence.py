@@ -22,7 +22,7 @@ from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lambent.denoise.collisions import Companions, check_collisions
+from lambent.denoise.collisions import Companions, check_collisions, identity
 from lambent.denoise.files import (
     PREVIEW_SUFFIX,
     STAMP,
@@ -31,6 +31,7 @@ from lambent.denoise.files import (
     Processed,
     Result,
     default_output,
+    guides_of,
     load,
     make_folder,
     number_of,
@@ -42,6 +43,7 @@ from lambent.denoise.pipeline import Settings
 from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, LambentError, OutputError
 from lambent.frame.atomic import refuse_stdout
+from lambent.frame.files import ENDINGS
 from lambent.frame.opening import exists, refuse_special, unreadable
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ _GLOB = re.compile(r"[*?]|\[.*\]")
 #: Why a glob's match is left out.
 _UNNUMBERED = "without a frame number"
 
-_IMAGE_SUFFIXES = frozenset({".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr"})
+_IMAGE_SUFFIXES = frozenset(ENDINGS)
 
 
 class State(Enum):
@@ -172,7 +174,8 @@ def state_of(job: Job, settings: Settings) -> State:
     """Whether a frame is finished, and if not, why."""
     if not os.path.exists(job.output):
         return State.TODO
-    inputs = [job.source, *(path for path in _guides(job, settings) if path.is_file())]
+    guides = guides_of(job.source, settings, job.number)
+    inputs = [job.source, *filter(os.path.isfile, guides)]
     older = job.output.stat().st_mtime < max(path.stat().st_mtime for path in inputs)
     if job.output.suffix.lower() != ".exr":
         return State.OUTDATED if older else State.FINISHED
@@ -212,24 +215,16 @@ def sort_out(
     """
     jobs = list(jobs)
     guides = {
-        identity(path) if False else path
+        identity(path): path
         for job in jobs
         for path in guides_of(job.source, settings, job.number)
     }
+    jobs = [job for job in jobs if identity(job.source) not in guides]
+    check_collisions([(job.source, job.output) for job in jobs], companions, guides.values())
     todo: list[Job] = []
     finished: list[Job] = []
     blocked: dict[State, list[Job]] = {}
-    jobs = list(jobs)
-    guides = {path.resolve() for job in jobs for path in _guides(job, settings)}
     for job in jobs:
-        if job.source.resolve() in guides:
-            continue  # a guide that lies among the frames
-        if job.output.resolve() in guides:
-            raise OutputError(
-                "the output is the file of a guide",
-                file=job.output,
-                remedy="write elsewhere with -o NAME",
-            )
         state = State.TODO if overwrite else state_of(job, settings)
         if state is State.FINISHED:
             finished.append(job)

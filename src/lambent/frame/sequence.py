@@ -30,7 +30,7 @@ _GLOB = re.compile(r"[*?]|\[.*\]")
 _NUMBER = re.compile(r"(?P<head>.*?)(?P<number>(?:(?<=[._ ])-|^-)?\d+)(?P<tail>[^\d/]*)$")
 _RANGE = re.compile(r"^(-?\d+)(?:-(-?\d+)(?:x(\d+))?)?$")
 #: What a directory is searched for.
-_PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
+_PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".pfm")
 _MOST = 1_000_000
 
 
