@@ -380,6 +380,51 @@ def test_without_permission(tmp_path, case, command):
     assert any(each in done.stderr for each in words)
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [
+        (["--version"], 0),
+        (["models"], 0),
+        (["inspect", "noisy.exr"], 0),
+        (["inspect", "absent.exr", "--json"], 2),
+        (["denoise", "noisy.exr", *FAST], 0),
+        (["denoise", "shot.####.exr", "--model", "box"], 0),
+    ],
+    ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else None,
+)
+def test_nobody_reads_what_is_printed(noisy, args, code, unbuffered):
+    """The exit code stays true, the work is done to its end, and nothing is complained about."""
+    for number in (1, 2, 3):
+        shutil.copyfile(noisy, noisy.with_name(f"shot.{number:04d}.exr"))
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "lambent", *args], stdout=writing, stderr=subprocess.PIPE,
+        text=True, timeout=120, cwd=noisy.parent,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )  # fmt: skip
+    os.close(writing)
+    assert done.returncode == code, done.stderr
+    assert "BrokenPipe" not in done.stderr
+    assert "unforeseen" not in done.stderr
+    if args[:2] == ["denoise", "shot.####.exr"]:
+        assert len(list(noisy.parent.glob("shot_clean.*.exr"))) == 3
+
+
+def test_a_picture_in_a_pipe_is_refused(noisy):
+    with noisy.open("rb") as picture:
+        cat = subprocess.Popen(["cat"], stdin=picture, stdout=subprocess.PIPE)
+        done = subprocess.run(
+            [sys.executable, "-m", "lambent", "inspect", "/dev/stdin"],
+            stdin=cat.stdout, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        cat.stdout.close()
+        cat.wait()
+    assert done.returncode == 2
+    assert "/dev/stdin: is a pipe, not a file" in done.stderr
+
+
 # ------------------------------------------------- odd pixels, odd pictures
 
 

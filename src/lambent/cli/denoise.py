@@ -9,6 +9,7 @@ is given again.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Mapping
@@ -343,7 +344,9 @@ def _print_line(result: Result, told: set[str]) -> None:
     new = [line for line in result.notes if line not in told]
     told.update(new)
     remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
-    print(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}", flush=True)
+    line = f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}"
+    with contextlib.suppress(BrokenPipeError):  # whoever read it has gone; the frames matter
+        print(line, flush=True)
 
 
 def _print_many_plan(
@@ -381,7 +384,8 @@ def _count(number: int, thing: str) -> str:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    with contextlib.suppress(BrokenPipeError):
+        print(text, file=sys.stderr, flush=True)
 
 
 # ----------------------------------------------------------------- companions
