@@ -115,7 +115,7 @@ def test_guides_among_the_frames_are_not_cleaned(folder: Path) -> None:
         albedo=str(folder / "albedo.####.exr"),
         normal=str(folder / "normal.exr"),
     )
-    jobs, _ = find_jobs(folder, None, folder / "out")
+    jobs = find_jobs(folder, None, folder / "out").jobs
     (folder / "albedo.0000.exr").write_bytes((folder / "albedo.0001.exr").read_bytes())
     todo, _ = sort_out([job for job in jobs if job.number], settings, False)
     assert [job.source.name for job in todo] == [f"beauty.{n:04d}.exr" for n in FRAMES]

@@ -631,6 +631,9 @@ def test_pictures_that_are_none_are_named(tmp_path):
         photo.photographs(tmp_path / "none")
     with pytest.raises(FileError, match="no PNG or JPEG"):
         photo.photographs(tmp_path)
+    (tmp_path / "._a.png").write_bytes(b"what macOS keeps beside a.png")
+    with pytest.raises(FileError, match="no PNG or JPEG"):
+        photo.photographs(tmp_path)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(FileError, match=r"a\.png"):
         photo.photographs(tmp_path)

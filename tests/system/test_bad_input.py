@@ -6,8 +6,13 @@ where a real one is needed: a full disk, Ctrl-C, kill (`test_interrupted.py`).
 
 from __future__ import annotations
 
+import ctypes
+import os
 import shutil
+import socket
+import stat
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -227,8 +232,13 @@ def test_too_little_memory_says_how_much_it_takes(refused, noisy):
 
 
 def test_output_directory_missing(refused, noisy, tmp_path):
-    text = refused("denoise", noisy, "-o", tmp_path / "no" / "out.exr", code=2)
+    text = refused("denoise", noisy, "-o", tmp_path / "no" / "way" / "out.exr", code=2)
     assert "mkdir -p" in text
+
+
+def test_an_output_directory_is_made_if_its_last_part_is_missing(noisy, tmp_path):
+    assert main(["denoise", str(noisy), "-o", str(tmp_path / "no" / "out.exr"), *FAST]) == 0
+    assert (tmp_path / "no" / "out.exr").is_file()
 
 
 def test_output_below_a_file(refused, noisy):
@@ -266,6 +276,153 @@ def test_output_equals_input_with_overwrite(noisy):
     after = renders.read(noisy)
     assert not np.array_equal(before["R"], after["R"])
     np.testing.assert_array_equal(before["depth.Z"], after["depth.Z"])
+
+
+@pytest.mark.parametrize("command", ["explain", "compare", "inspect"])
+def test_an_input_is_never_replaced_by_what_is_made_from_it(refused, noisy, command):
+    """Not even with --overwrite: it would be a picture or a page in the place of a render."""
+    options = {
+        "explain": [noisy, "--pixel", "5,5", "--model", "box", "-o", noisy],
+        "compare": [noisy, noisy, "--report", noisy],
+        "inspect": [noisy, "-o", noisy],
+    }[command]
+    assert "is an input" in refused(command, *options, "--overwrite", code=2)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_standard_output_is_refused_by_its_name(refused, noisy, many):
+    sources = [noisy, renders.write(noisy.with_name("b.exr"))] if many else [noisy]
+    assert "standard output" in refused("denoise", *sources, "-o", "-", code=2)
+
+
+def test_standard_input_is_refused_by_its_name(refused):
+    assert "standard input" in refused("denoise", "-", code=2)
+    assert "standard input" in refused("inspect", "-", code=2)
+
+
+@pytest.mark.parametrize("command", ["denoise", "inspect", "explain", "compare"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device"])
+def test_what_is_no_file_is_no_input(refused, tmp_path, command, kind):
+    """Nothing waits for a writer, and nothing is read that has no end."""
+    path = tmp_path / "odd.exr"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as server:
+            server.bind(str(path))
+    else:
+        path = Path("/dev/zero")
+    rest = {"explain": ["--pixel", "1,1", "--model", "box"], "compare": [path]}.get(command, [])
+    assert f"is a {kind}, not a file" in refused(command, path, *rest, code=2)
+
+
+def test_a_pipe_is_never_replaced(refused, noisy, tmp_path):
+    target = tmp_path / "out.exr"
+    os.mkfifo(target)
+    for command in (["denoise", noisy, *FAST], ["explain", noisy, "--pixel", "1,1"]):
+        text = refused(*command, "-o", target, "--overwrite", code=2)
+        assert "is a pipe" in text
+    assert stat.S_ISFIFO(target.stat().st_mode)
+
+
+def test_names_that_are_too_long(refused, noisy, tmp_path):
+    long = tmp_path / f"{'x' * 300}.exr"
+    assert "too long" in refused("denoise", noisy, "-o", long, code=2)
+    for command in ("denoise", "inspect"):
+        assert "too long" in refused(command, long, code=2)
+    assert "too long" in refused("denoise", tmp_path / f"{'x' * 300}.####.exr", code=2)
+    # the input's name is short enough, that of the default output is not
+    just = noisy.rename(tmp_path / f"{'x' * 248}.exr")
+    assert "too long" in refused("denoise", just, code=2)
+
+
+def test_names_are_limited_in_bytes(noisy, tmp_path):
+    """70 letters of three bytes each are a name; the hidden file beside must be one too."""
+    target = tmp_path / ("光" * 80 + ".exr")
+    assert main(["denoise", str(noisy), "-o", str(target), *FAST]) == 0
+    assert target.is_file()
+
+
+def bound_by_permissions() -> None:
+    """For a child: what a file's mode forbids is forbidden to root too."""
+    if sys.platform == "linux" and os.geteuid() == 0:
+        libc = ctypes.CDLL(None, use_errno=True)
+        drop_from_bounding_set, override, read_search = 24, 1, 2
+        for capability in (override, read_search):
+            assert libc.prctl(drop_from_bounding_set, capability, 0, 0, 0) == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="root is bound by permissions on Linux only")
+@pytest.mark.parametrize("command", ["denoise", "inspect"])
+@pytest.mark.parametrize("case", ["file", "folder", "folder_of_frames", "pattern", "output"])
+def test_without_permission(tmp_path, case, command):
+    """Exit code 2 and the path, whichever part may not be read, entered or written to."""
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    render = renders.write(folder / "shot.0001.exr")
+    source = {"folder_of_frames": folder, "pattern": folder / "shot.####.exr"}.get(case, render)
+    if case == "file":
+        render.chmod(0o000)
+    else:
+        folder.chmod({"folder": 0o644, "output": 0o555}.get(case, 0o000))
+    options = FAST if command == "denoise" else ["--report"]
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "lambent", command, source, *options],
+            capture_output=True, text=True, timeout=60, preexec_fn=bound_by_permissions,
+        )  # fmt: skip
+    finally:
+        folder.chmod(0o755)
+    assert done.returncode == 2, done.stderr
+    assert "unforeseen" not in done.stderr
+    assert str(folder) in done.stderr
+    words = ("ermission denied", "not writable", "is a directory")
+    assert any(each in done.stderr for each in words)
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [
+        (["--version"], 0),
+        (["models"], 0),
+        (["inspect", "noisy.exr"], 0),
+        (["inspect", "absent.exr", "--json"], 2),
+        (["denoise", "noisy.exr", *FAST], 0),
+        (["denoise", "shot.####.exr", "--model", "box"], 0),
+    ],
+    ids=lambda value: "-".join(value[:2]) if isinstance(value, list) else None,
+)
+def test_nobody_reads_what_is_printed(noisy, args, code, unbuffered):
+    """The exit code stays true, the work is done to its end, and nothing is complained about."""
+    for number in (1, 2, 3):
+        shutil.copyfile(noisy, noisy.with_name(f"shot.{number:04d}.exr"))
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "lambent", *args], stdout=writing, stderr=subprocess.PIPE,
+        text=True, timeout=120, cwd=noisy.parent,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+    )  # fmt: skip
+    os.close(writing)
+    assert done.returncode == code, done.stderr
+    assert "BrokenPipe" not in done.stderr
+    assert "unforeseen" not in done.stderr
+    if args[:2] == ["denoise", "shot.####.exr"]:
+        assert len(list(noisy.parent.glob("shot_clean.*.exr"))) == 3
+
+
+def test_a_picture_in_a_pipe_is_refused(noisy):
+    with noisy.open("rb") as picture:
+        cat = subprocess.Popen(["cat"], stdin=picture, stdout=subprocess.PIPE)
+        done = subprocess.run(
+            [sys.executable, "-m", "lambent", "inspect", "/dev/stdin"],
+            stdin=cat.stdout, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+        cat.stdout.close()
+        cat.wait()
+    assert done.returncode == 2
+    assert "/dev/stdin: is a pipe, not a file" in done.stderr
 
 
 # ------------------------------------------------- odd pixels, odd pictures

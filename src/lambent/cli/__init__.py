@@ -6,6 +6,7 @@ Reading order: `main` below, `app` (the table of commands, loaded only when aske
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +18,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     0 success; 1 to 5 as in `lambent.errors`; 4 for a wrong option; 130 after Ctrl-C.
     ``LAMBENT_DEBUG=1`` lets exceptions through with their traceback.
     """
-    args = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _run(list(sys.argv[1:] if argv is None else argv))
+    except BrokenPipeError:  # the reader has seen enough
+        return 0
+    finally:
+        _flush()
+
+
+def _run(args: list[str]) -> int:
     if args in (["--version"], ["-V"]):  # the fastest answer: before anything is imported
         from lambent import __version__
 
@@ -30,6 +39,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     from lambent.cli.app import run
 
     return run(args)
+
+
+def _flush() -> None:
+    """Write out what is buffered, or drop it where nobody reads it (`lambent … | head`).
+
+    Python would try again as it ends, and make exit code 120 of a failure.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def command() -> Any:

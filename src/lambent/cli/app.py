@@ -12,7 +12,9 @@ import importlib
 import os
 import signal
 import sys
+import typing
 from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
 
@@ -57,7 +59,10 @@ class LazyCommands(TyperGroup):
         module = importlib.import_module(f"lambent.cli.{cmd_name}")
         found = getattr(module, cmd_name)
         if isinstance(found, typer.Typer):  # a command with commands of its own
+            for one in found.registered_commands:
+                _look_at_no_file(one.callback)
             return typer.main.get_command(found)
+        _look_at_no_file(found)
         single = typer.Typer(
             add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
         )
@@ -147,6 +152,15 @@ def _root(
         raise typer.Exit
 
 
+def _look_at_no_file(callback: Any) -> None:
+    """Keep Typer from testing paths: to it, a file that may not be read is a wrong option."""
+    hints = typing.get_type_hints(callback, include_extras=True)
+    for hint in hints.values():
+        for parameter in getattr(hint, "__metadata__", ()):
+            parameter.readable = False
+    callback.__annotations__ = hints  # they were texts, which would be read afresh
+
+
 def _code_of(leaving: SystemExit) -> int:
     return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
 
@@ -179,6 +193,10 @@ def _system_error(error: Exception) -> LambentError:
         return LambentError(
             "the memory is not enough", remedy="give a limit to work within: --max-memory 2G"
         )
+    if isinstance(error, OSError) and error.filename is not None:
+        from lambent.frame.opening import unreadable
+
+        return unreadable(Path(os.fsdecode(error.filename)), error)
     return LambentError(
         f"something unforeseen: {type(error).__name__}: {error}",
         remedy="LAMBENT_DEBUG=1 shows where; please report it with that output",
@@ -186,11 +204,12 @@ def _system_error(error: Exception) -> LambentError:
 
 
 def _print_error(error: LambentError, as_json: bool) -> None:
-    if as_json:
-        import json
+    with contextlib.suppress(BrokenPipeError):  # nobody reads it; the exit code still tells
+        if as_json:
+            import json
 
-        print(json.dumps({"error": _as_dict(error)}, indent=2))
-    print(f"error: {error}", file=sys.stderr)
+            print(json.dumps({"error": _as_dict(error)}, indent=2), flush=True)
+        print(f"error: {error}", file=sys.stderr)
 
 
 def _as_dict(error: LambentError) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lambent.cli.options import JsonOption, print_json
+from lambent.cli.options import JsonOption, check_output, print_json
 from lambent.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -53,8 +53,7 @@ def compare(
 
     names = None if metrics is None else [m.strip() for m in metrics.split(",") if m.strip()]
     _check_inputs([reference, *images])
-    if report is not None:
-        _check_report(report, overwrite)
+    check_output(report, overwrite, [reference, *images])
     with Progress("comparing", quiet=as_json) as progress:
         comparison = measure(
             reference,
@@ -96,33 +95,15 @@ def _named(images: list[Path]) -> dict[str, Path]:
 def _check_inputs(paths: list[Path]) -> None:
     """All missing files in one message, before any is read."""
     from lambent.errors import FileError
+    from lambent.frame.opening import exists
 
-    missing = [path for path in paths if not path.exists()]
+    missing = [path for path in paths if not exists(path)]
     if missing:
         others = ", ".join(str(path) for path in missing[1:])
         raise FileError(
             "there is no such file" + (f" (nor {others})" if others else ""),
             file=missing[0],
             remedy="check the path; the reference comes first",
-        )
-
-
-def _check_report(report: Path, overwrite: bool) -> None:
-    from lambent.errors import OutputError
-
-    if report.is_dir():
-        raise OutputError(
-            "the report is a directory", file=report, remedy=f"name a file: {report}/report.html"
-        )
-    if not report.parent.is_dir():
-        raise OutputError(
-            "this directory does not exist",
-            file=report.parent,
-            remedy=f"mkdir -p '{report.parent}'",
-        )
-    if report.exists() and not overwrite:
-        raise OutputError(
-            "this file exists already", file=report, remedy="allow replacing it with --overwrite"
         )
 
 

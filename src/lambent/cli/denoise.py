@@ -9,8 +9,10 @@ is given again.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -163,6 +165,7 @@ def _run_one(
     as_json: bool,
 ) -> int:
     from lambent.denoise import files
+    from lambent.denoise.collisions import check_collisions
     from lambent.errors import OptionError
 
     if frames is not None:
@@ -171,8 +174,10 @@ def _run_one(
             remedy="give the input as a pattern, such as shot.####.exr",
         )
     target = files.output_for(source, output)
-    files.check_output(source, target, overwrite or dry_run, folder=output)
+    files.check_output(source, target, overwrite or dry_run)
     files.check_guides(source, target, settings)
+    guides = files.guides_of(source, settings)
+    check_collisions([(source, target)], extras.paths, guides)
     extras.check(target, overwrite or dry_run)
     if dry_run:
         plan = files.outline(source, target, settings)
@@ -268,14 +273,20 @@ def _run_many(
     from lambent.frame.sequence import format_range
 
     if len(sources) == 1:
-        jobs, missing = sequence.find_jobs(sources[0], frames, output)
+        found = sequence.find_jobs(sources[0], frames, output)
         what = Path(sources[0]).name or sources[0]
     else:
-        jobs, missing = sequence.listed_jobs(sources, output), ()
+        found = sequence.listed_jobs(sources, output)
         what = f"{len(sources)} files"
+    jobs, missing = found.jobs, found.missing
     if not jobs:
         raise FileError("holds no EXR file", file=what, remedy="check the name and --frames")
-    todo, finished = sequence.sort_out(jobs, settings, overwrite)
+    todo, finished = sequence.sort_out(jobs, settings, overwrite, extras.paths)
+    for job in todo:
+        # Beside a result that is there, they are of the same command, interrupted or outdated.
+        extras.check(job.output, overwrite or dry_run or os.path.exists(job.output))
+    for why, paths in _by_reason(found.left_out).items():
+        _say(f"left out: {_listing([path.name for path in paths])} ({why})")
     if missing:
         _say(f"missing: {format_range(missing)} ({_count(len(missing), 'frame')} of the range)")
     if dry_run:
@@ -301,6 +312,7 @@ def _run_many(
                 "done": [result.as_dict() for result in done],
                 "skipped": [str(job.output) for job in finished],
                 "missing": list(missing),
+                "left_out": {str(path): why for path, why in found.left_out.items()},
                 "failed": [
                     {"source": str(job.source), "error": error.message} for job, error in failed
                 ],
@@ -320,12 +332,21 @@ def _run_many(
     return FileError.exit_code if missing and frames is not None else 0
 
 
+def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:
+    reasons: dict[str, list[Path]] = {}
+    for path, why in left_out.items():
+        reasons.setdefault(why, []).append(path)
+    return reasons
+
+
 def _print_line(result: Result, told: set[str]) -> None:
     """One line a frame; a note that every frame would repeat is told once."""
     new = [line for line in result.notes if line not in told]
     told.update(new)
     remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
-    print(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}", flush=True)
+    line = f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}"
+    with contextlib.suppress(BrokenPipeError):  # whoever read it has gone; the frames matter
+        print(line, flush=True)
 
 
 def _print_many_plan(
@@ -363,7 +384,8 @@ def _count(number: int, thing: str) -> str:
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    with contextlib.suppress(BrokenPipeError):
+        print(text, file=sys.stderr, flush=True)
 
 
 # ----------------------------------------------------------------- companions
@@ -382,9 +404,11 @@ class _Extras:
 
     def paths(self, output: Path) -> dict[str, Path]:
         """Where they go, by kind."""
+        from lambent.denoise.files import PREVIEW_SUFFIX
+
         found = {}
         if self._preview:
-            found["preview"] = output.with_name(output.stem + "_preview.png")
+            found["preview"] = output.with_name(output.stem + PREVIEW_SUFFIX)
         if self._report:
             found["report"] = output.with_suffix(".html")
         return found

@@ -18,6 +18,7 @@ from lambent.cli.options import (
     ModelOption,
     SetOption,
     SppOption,
+    check_output,
     pairs,
     print_json,
 )
@@ -62,7 +63,6 @@ def explain(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
-    from lambent.errors import OutputError
     from lambent.filters.denoiser import create
     from lambent.filters.explain import classical_for, side_by_side
     from lambent.filters.explain import explain as find_weights
@@ -76,10 +76,7 @@ def explain(
     ]
     for name in others:
         create(name)
-    if output is not None and output.exists() and not overwrite:
-        raise OutputError(
-            "this file exists already", file=output, remedy="allow replacing it with --overwrite"
-        )
+    check_output(output, overwrite, [frame, *([] if reference is None else [reference])])
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
         noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import JsonOption, MapOption, SppOption, pairs, print_json
+from lambent.cli.options import (
+    JsonOption,
+    MapOption,
+    SppOption,
+    check_output,
+    pairs,
+    print_json,
+)
 from lambent.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -23,7 +30,9 @@ EPILOG = "Example: lambent inspect noisy.exr --map albedo=tex"
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF or HDR.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="An EXR, PNG, JPEG, TIFF, HDR or PFM.")
+    ],
     mapping: MapOption = None,
     spp: SppOption = None,
     report: Annotated[
@@ -39,17 +48,13 @@ def inspect(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
-    from lambent.errors import OutputError
     from lambent.frame.inspection import inspect_file
 
     roles = pairs("--map", mapping) or None
     page = output
     if page is None and report:
         page = file.with_name(f"{file.stem}_inspection.html")
-    if page is not None and page.exists() and not overwrite:
-        raise OutputError(
-            "the page exists already", file=page, remedy="allow replacing it with --overwrite"
-        )
+    check_output(page, overwrite, [file])
     with Progress(file.name, quiet=as_json) as progress:
         progress.report(0, 1, "inspecting")
         found = inspect_file(file, roles, spp)

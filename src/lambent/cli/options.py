@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
@@ -154,6 +155,26 @@ def light_groups(texts: Iterable[str] | None) -> dict[str, list[str]]:
             )
         found.setdefault(name.strip(), []).extend(named)
     return found
+
+
+def check_output(path: Path | None, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a file that cannot be written, or that is an input, before any work is done.
+
+    Raises `OutputError`. ``path`` None: nothing will be written.
+    """
+    if path is None:
+        return
+    from lambent.errors import OutputError
+    from lambent.frame.atomic import check_target
+
+    target = check_target(path, overwrite)
+    for source in inputs:
+        if os.path.realpath(source) == str(target):
+            raise OutputError(
+                "is an input, and is never replaced by what is made from it",
+                file=path,
+                remedy="name another file",
+            )
 
 
 def print_json(document: Any) -> None:

@@ -7,6 +7,7 @@ printed now and then. All of it goes to stderr, so that stdout holds results alo
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
@@ -106,7 +107,8 @@ class Progress:
             done, total, text = self._state
             share = f"{100 * done / total:.0f} %" if done > 0 else ""
             words = ", ".join(filter(None, (text, share, self._time_text())))
-            print(f"{self.what}: {words}", file=sys.stderr, flush=True)
+            with contextlib.suppress(BrokenPipeError):
+                print(f"{self.what}: {words}", file=sys.stderr, flush=True)
             if self._over.wait(LOG_EVERY):
                 return
 

@@ -30,7 +30,9 @@ from lambent.denoise.pipeline import (
 )
 from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, OutputError
+from lambent.frame.atomic import check_target, refuse_stdout
 from lambent.frame.frame import Frame
+from lambent.frame.opening import exists, refuse_special, unreadable
 from lambent.frame.role import Role, Stat
 
 #: The EXR attribute that holds the settings a file was made with.
@@ -38,6 +40,8 @@ STAMP = "lambent:settings"
 
 #: What the default output's name has more than the input's.
 SUFFIX = "_clean"
+#: What a preview's name has more than that of the result it stands beside.
+PREVIEW_SUFFIX = "_preview.png"
 
 
 @dataclass(frozen=True)
@@ -103,19 +107,21 @@ def default_output(source: Path) -> Path:
 def output_for(source: Path, output: str | Path | None) -> Path:
     """Where the result of one file goes: ``output``, or the input's name in it if a directory.
 
-    A name that ends in a slash, or has no ending at all, means a directory.
+    A name that ends in a slash, or has no ending at all, means a directory. Raises `OutputError`
+    for ``-``.
     """
+    refuse_stdout(output)
     if output is None:
         return default_output(source)
     target = Path(output)
-    if str(output).endswith(("/", os.sep)) or target.is_dir() or not target.suffix:
+    if str(output).endswith(("/", os.sep)) or os.path.isdir(target) or not target.suffix:
         return target / source.name
     return target
 
 
 def make_folder(folder: Path) -> None:
     """Make an output directory of which only the last part is missing."""
-    if folder.exists() or not folder.parent.is_dir():
+    if os.path.exists(folder) or not os.path.isdir(folder.parent):
         return
     try:
         folder.mkdir(exist_ok=True)
@@ -145,7 +151,7 @@ def denoise_file(
     settings = settings or Settings.checked(**options)
     source = Path(source)
     target = output_for(source, output)
-    check_output(source, target, overwrite, folder=output)
+    check_output(source, target, overwrite)
     check_guides(source, target, settings)
     if progress is not None:
         progress(0, 1, "reading")
@@ -179,14 +185,20 @@ def number_of(path: Path) -> int | None:
     return int(found[-1]) if found else None
 
 
-def check_guides(source: Path, output: Path, settings: Settings, number: int | None = None) -> None:
-    """Refuse guide files that are not there, or that the output would replace."""
+def guides_of(source: Path, settings: Settings, number: int | None = None) -> list[Path]:
+    """The files of a frame's guides. Raises `OptionError`."""
     from lambent.frame.guides import paths
 
-    for path in paths(roles_of(source, settings, number)):
-        if not path.is_file():
+    return paths(roles_of(source, settings, number))
+
+
+def check_guides(source: Path, output: Path, settings: Settings, number: int | None = None) -> None:
+    """Refuse guide files that are not there, or that the output would replace."""
+    for path in guides_of(source, settings, number):
+        refuse_special(path)
+        if not exists(path):
             raise FileError("there is no such file", file=path, remedy="check the guide's name")
-        if output.exists() and output.samefile(path):
+        if os.path.exists(output) and output.samefile(path):
             raise OutputError(
                 "the output is the file of a guide", file=output, remedy="write elsewhere with -o"
             )
@@ -268,45 +280,36 @@ def stamp(settings: Settings) -> str:
     return json.dumps(settings.key(), sort_keys=True)
 
 
-def check_output(
-    source: Path, output: Path, overwrite: bool, folder: str | Path | None = None
-) -> None:
+def check_output(source: Path, output: Path, overwrite: bool) -> None:
     """Refuse an output that cannot or must not be written, before any work is done.
 
-    ``folder``: what the user gave; where that names a directory (see `output_for`), `save` will
-    make it.
+    A directory of which only the last part is missing is no fault: `save` will make it.
     """
     from lambent.frame.files import check_ending
 
-    if not source.exists():
-        raise FileError(
-            "there is no such file", file=source, remedy="check the path; quote names with spaces"
-        )
-    if output.is_dir():
+    if not exists(source):
+        raise unreadable(source, FileNotFoundError())
+    refuse_special(source)
+    if os.path.isdir(output):
         raise OutputError(
             "the output is a directory",
             file=output,
             remedy=f"name a file in it: -o {output / default_output(source).name}",
         )
     check_ending(output)
-    if overwrite and output.exists():
+    parent = output.parent
+    if not os.path.lexists(parent) and os.path.isdir(parent.parent):
+        check_target(parent)  # whether the directory can be made
         return
-    if output.exists():
-        same = output.samefile(source)
+    if not overwrite and os.path.exists(output):
         raise OutputError(
-            "the output is the input itself" if same else "this file exists already",
+            "the output is the input itself"
+            if output.samefile(source)
+            else "this file exists already",
             file=output,
             remedy="write elsewhere with -o NAME, or allow it with --overwrite",
         )
-    parent = output.parent
-    if folder is not None and Path(folder) == parent and not parent.exists():
-        parent = parent.parent
-    if not parent.is_dir():
-        raise OutputError(
-            "is no directory" if parent.exists() else "this directory does not exist",
-            file=parent,
-            remedy=f"mkdir -p '{parent}'" if not parent.exists() else "choose another with -o",
-        )
+    check_target(output, overwrite)
 
 
 def outline(

@@ -12,22 +12,26 @@ command that was interrupted, even killed, resume when it is given again.
 from __future__ import annotations
 
 import json
+import os
 import queue
 import re
 import threading
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from lambent.denoise.collisions import Companions, check_collisions, identity
 from lambent.denoise.files import (
+    PREVIEW_SUFFIX,
     STAMP,
     SUFFIX,
     Loaded,
     Processed,
     Result,
     default_output,
+    guides_of,
     load,
     make_folder,
     number_of,
@@ -38,6 +42,12 @@ from lambent.denoise.files import (
 from lambent.denoise.pipeline import Settings
 from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, LambentError, OutputError
+from lambent.frame.atomic import refuse_stdout
+from lambent.frame.files import ENDINGS
+from lambent.frame.opening import exists, refuse_special, unreadable
+
+if TYPE_CHECKING:
+    from lambent.frame.sequence import Sequence as FrameSequence
 
 #: Frames alive at once: one being read, one filtered, one written.
 ALIVE = 3
@@ -46,7 +56,10 @@ ALIVE = 3
 _PLACE = re.compile(r"#|%0?\d*d|\$F\d?")
 _GLOB = re.compile(r"[*?]|\[.*\]")
 
-_IMAGE_SUFFIXES = frozenset({".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr"})
+#: Why a glob's match is left out.
+_UNNUMBERED = "without a frame number"
+
+_IMAGE_SUFFIXES = frozenset(ENDINGS)
 
 
 class State(Enum):
@@ -69,60 +82,79 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Selection:
+    """The frames that the user's words mean.
+
+    ``missing``: numbers of the range without a file. ``left_out``: files that the words cover and
+    that are not cleaned all the same, each with the reason.
+    """
+
+    jobs: list[Job]
+    missing: tuple[int, ...] = ()
+    left_out: Mapping[Path, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class SequenceResult:
-    """What became of the frames of a sequence."""
+    """What became of the frames of a sequence. ``left_out``: see `Selection`."""
 
     done: tuple[Result, ...]
     skipped: tuple[Job, ...]
     failed: tuple[tuple[Job, LambentError], ...]
     missing: tuple[int, ...] = ()
+    left_out: Mapping[Path, str] = field(default_factory=dict)
 
 
 def is_sequence(source: str | Path) -> bool:
     """Whether a name stands for many files: a pattern, a glob, or a directory."""
     text = str(source)
-    if Path(text).is_dir():
+    if os.path.isdir(text):
         return True
-    if Path(text).exists():
+    if os.path.exists(text):
         return False
     return bool(_PLACE.search(Path(text).name) or _GLOB.search(text))
 
 
 def find_jobs(
     source: str | Path, frames: str | None = None, output: str | Path | None = None
-) -> tuple[list[Job], tuple[int, ...]]:
-    """The frames that a pattern and a range name, and the numbers that are missing.
+) -> Selection:
+    """The frames that a pattern and a range name.
 
     ``output``: a pattern with a place for the number, or a directory; None: beside the input,
-    ``shot_clean.####.exr`` for a pattern and the folder ``NAME_clean`` for a folder.
+    ``shot_clean.####.exr`` for a pattern and the folder ``NAME_clean`` for a folder. Results of
+    earlier commands among the files are left out. Raises `FileError` and its kinds, `OptionError`.
     """
-    from lambent.frame.sequence import Sequence as FrameSequence
-
     folder = Path(source)
     if not folder.name:  # "." and "/" have no name to put "_clean" behind
         folder = folder.resolve()
         source = folder
-    if folder.is_dir() and frames is None:
-        jobs = _folder_jobs(folder, output)
-        numbered = FrameSequence.find_all(folder) if any(j.number for j in jobs) else []
-        return jobs, numbered[0].missing if len(numbered) == 1 else ()
-    sequence = FrameSequence.find(source, frames)
+    refuse_stdout(output)
+    if os.path.isdir(folder) and frames is None:
+        return _folder_jobs(folder, output)
+    sequence, left_out = _sequence(source)
+    sequence = sequence.within(frames)
     jobs = [
         Job(number, Path(path), _output_for(Path(path), number, source, output))
         for number, path in sorted(sequence.items())
     ]
-    return jobs, tuple(sequence.missing)
+    padding = "its number is padded otherwise" if _PLACE.search(folder.name) else _UNNUMBERED
+    left_out = {path: padding for path in sequence.left_out if path not in left_out} | left_out
+    return Selection(jobs, tuple(sequence.missing), left_out)
 
 
-def listed_jobs(sources: Sequence[str | Path], output: str | Path | None = None) -> list[Job]:
+def listed_jobs(sources: Sequence[str | Path], output: str | Path | None = None) -> Selection:
     """Jobs for files that were named one by one; ``output`` is a directory or None (beside each).
 
-    Raises `FileError` for one that does not exist.
+    A result of another file of the list is left out (the shell's ``*.exr`` names it too). Raises
+    `FileError` for one that does not exist.
     """
+    refuse_stdout(output)
     jobs = []
+    left_out = _earlier_results([Path(text) for text in sources])
     for text in sources:
         path = Path(text)
-        if not path.is_file():
+        refuse_special(path)
+        if not exists(path):
             raise FileError(
                 "there is no such file",
                 file=path,
@@ -133,15 +165,17 @@ def listed_jobs(sources: Sequence[str | Path], output: str | Path | None = None)
         else:
             target = Path(output) / path.name
             _refuse_file_as_folder(Path(output), "many files cannot go into one file")
-        jobs.append(Job(number_of(path), path, target))
-    return jobs
+        if path not in left_out:
+            jobs.append(Job(number_of(path), path, target))
+    return Selection(jobs, (), left_out)
 
 
 def state_of(job: Job, settings: Settings) -> State:
     """Whether a frame is finished, and if not, why."""
-    if not job.output.exists():
+    if not os.path.exists(job.output):
         return State.TODO
-    inputs = [job.source, *(path for path in _guides(job, settings) if path.is_file())]
+    guides = guides_of(job.source, settings, job.number)
+    inputs = [job.source, *filter(os.path.isfile, guides)]
     older = job.output.stat().st_mtime < max(path.stat().st_mtime for path in inputs)
     if job.output.suffix.lower() != ".exr":
         return State.OUTDATED if older else State.FINISHED
@@ -167,28 +201,30 @@ def read_stamp(path: Path) -> dict[str, Any] | None:
 
 
 def sort_out(
-    jobs: Iterable[Job], settings: Settings, overwrite: bool
+    jobs: Iterable[Job],
+    settings: Settings,
+    overwrite: bool,
+    companions: Companions | None = None,
 ) -> tuple[list[Job], list[Job]]:
     """(jobs to do, jobs already finished).
 
-    Raises `OutputError` before any work where files would be replaced that the user did not allow
-    to: results of other settings, files that are not ours, and the frames' guides. A guide's file
-    that lies among the frames is no job.
+    ``companions``: what will be written beside each result. A guide's file that lies among the
+    frames is no job. Raises `OutputError` before any work where two files would have one name
+    (`lambent.denoise.collisions`), or where files would be replaced that the user did not allow
+    to: results of other settings, and files that are not ours.
     """
+    jobs = list(jobs)
+    guides = {
+        identity(path): path
+        for job in jobs
+        for path in guides_of(job.source, settings, job.number)
+    }
+    jobs = [job for job in jobs if identity(job.source) not in guides]
+    check_collisions([(job.source, job.output) for job in jobs], companions, guides.values())
     todo: list[Job] = []
     finished: list[Job] = []
     blocked: dict[State, list[Job]] = {}
-    jobs = list(jobs)
-    guides = {path.resolve() for job in jobs for path in _guides(job, settings)}
     for job in jobs:
-        if job.source.resolve() in guides:
-            continue  # a guide that lies among the frames
-        if job.output.resolve() in guides:
-            raise OutputError(
-                "the output is the file of a guide",
-                file=job.output,
-                remedy="write elsewhere with -o NAME",
-            )
         state = State.TODO if overwrite else state_of(job, settings)
         if state is State.FINISHED:
             finished.append(job)
@@ -223,13 +259,15 @@ def denoise_sequence(
     in the writing thread after each frame. Raises `LambentError` where nothing can be begun.
     """
     settings = settings or Settings.checked(**options)
-    jobs, missing = find_jobs(source, frames, output)
-    if not jobs:
+    found = find_jobs(source, frames, output)
+    if not found.jobs:
         raise FileError("no frame was found", file=source, remedy="check the pattern and --frames")
-    todo, finished = sort_out(jobs, settings, overwrite)
+    todo, finished = sort_out(found.jobs, settings, overwrite)
     make_folders(todo)
     done, failed = run_jobs(todo, settings, progress, on_done)
-    return SequenceResult(tuple(done), tuple(finished), tuple(failed), missing)
+    return SequenceResult(
+        tuple(done), tuple(finished), tuple(failed), found.missing, found.left_out
+    )
 
 
 def make_folders(jobs: Sequence[Job]) -> None:
@@ -363,23 +401,71 @@ class _Line:
                 del item, processed
 
 
-def _guides(job: Job, settings: Settings) -> list[Path]:
-    """The files of a frame's guides."""
-    from lambent.frame.guides import paths
+def _folder_jobs(folder: Path, output: str | Path | None) -> Selection:
+    from lambent.frame.sequence import grouped
 
-    return paths(roles_of(job.source, settings, job.number))
-
-
-def _folder_jobs(folder: Path, output: str | Path | None) -> list[Job]:
     target = Path(output) if output is not None else folder.with_name(folder.name + SUFFIX)
     _refuse_file_as_folder(target, "the input is a directory, so the output must be one too")
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".exr" and p.is_file())
-    return [Job(number_of(path), path, target / path.name) for path in files]
+    try:
+        entries = sorted(folder.iterdir())
+        pictures = [p for p in entries if p.suffix.lower() in _IMAGE_SUFFIXES and not p.is_dir()]
+        no_files = {p: "no file" for p in pictures if not p.is_file()}  # pipes, broken links
+    except OSError as error:
+        raise unreadable(folder, error) from error
+    left_out = no_files
+    # "._shot.exr" is what macOS keeps beside shot.exr: never a picture, and nothing to speak of.
+    visible = [p for p in pictures if not p.name.startswith("._")]
+    left_out |= {p: "hidden" for p in visible if p.name.startswith(".")}
+    left_out |= _earlier_results([p for p in visible if p not in left_out])
+    left_out |= {p: "no EXR" for p in visible if p not in left_out and p.suffix.lower() != ".exr"}
+    files = [p for p in visible if p not in left_out]
+    numbered = grouped(files)
+    missing = numbered[0].missing if len(numbered) == 1 else ()
+    return Selection([Job(number_of(p), p, target / p.name) for p in files], missing, left_out)
+
+
+def _sequence(source: str | Path) -> tuple[FrameSequence, dict[Path, str]]:
+    """The one sequence that is meant, and the earlier results that the words cover too."""
+    from lambent.frame.sequence import Sequence as FrameSequence
+
+    found = FrameSequence.find_all(source)
+    if len(found) == 1:
+        return found[0], {}
+    results = _earlier_results([path for sequence in found for path in sequence.values()])
+    others = [s for s in found if any(path not in results for path in s.values())]
+    if len(others) != 1:
+        FrameSequence.find(source)  # raises: it lists the sequences
+    return others[0], results
+
+
+def _earlier_results(paths: Sequence[Path]) -> dict[Path, str]:
+    """Which of these files an earlier command made from others of them.
+
+    The default name tells, and for an EXR the stamp too: ``room_clean.exr`` may be a clean plate.
+    """
+    made: set[Path] = set()
+    for path in paths:
+        outputs = {default_output(path), _numbered_output(path)}
+        stems = [path.stem, *(output.stem for output in outputs)]
+        made |= outputs | {path.with_name(f"{stem}{PREVIEW_SUFFIX}") for stem in stems}
+    return {
+        path: "made by an earlier command"
+        for path in paths
+        if path in made and (path.suffix.lower() != ".exr" or read_stamp(path) is not None)
+    }
 
 
 def _refuse_file_as_folder(target: Path, why: str) -> None:
-    if target.suffix.lower() in _IMAGE_SUFFIXES or target.is_file():
+    if target.suffix.lower() in _IMAGE_SUFFIXES or os.path.isfile(target):
         raise OutputError(why, file=target, remedy="give -o a directory")
+
+
+def _numbered_output(path: Path) -> Path:
+    """``shot.0001.exr`` to ``shot_clean.0001.exr``."""
+    digits = re.search(r"([._-]?)(\d+)$", path.stem)
+    if digits is None:
+        return default_output(path)
+    return path.with_name(f"{path.stem[: digits.start()]}{SUFFIX}{digits[0]}{path.suffix}")
 
 
 def _output_for(
@@ -387,14 +473,10 @@ def _output_for(
 ) -> Path:
     """The output of one frame of a pattern."""
     if output is None:
-        digits = re.search(r"([._-]?)(\d+)$", path.stem)
-        if digits is None:
-            return default_output(path)
-        stem = f"{path.stem[: digits.start()]}{SUFFIX}{digits[0]}"
-        return path.with_name(stem + path.suffix)
+        return _numbered_output(path)
     target = Path(output)
     if not _PLACE.search(target.name):
-        if target.suffix and not target.is_dir():
+        if target.suffix and not os.path.isdir(target):
             raise OutputError(
                 "many frames cannot go into one file",
                 file=target,

@@ -26,7 +26,8 @@ _REMEDIES = {
     errno.EPERM: "allow writing there, or write elsewhere with -o",
     errno.EROFS: "the disk is read-only; write elsewhere with -o",
     errno.EIO: "check the disk",
-    errno.ENAMETOOLONG: "take a shorter name",
+    errno.ENAMETOOLONG: "take a shorter name with -o",
+    errno.ELOOP: "its links lead in a circle: mend them, or write elsewhere with -o",
 }
 
 
@@ -34,27 +35,57 @@ def check_target(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     """The real target of a write, after finding out early that it cannot be written.
 
     Links are followed. Raises `OutputError`: the folder is missing or not writable, the target is
-    a directory, or exists and ``overwrite`` is false.
+    a directory, a pipe or a device, has a name that is too long, or exists and ``overwrite`` is
+    false.
     """
+    refuse_stdout(path)
     target = Path(os.path.realpath(path))
     folder = target.parent
-    if not folder.exists():
-        raise OutputError(
-            f"the folder '{folder}' does not exist", file=path, remedy="make it first"
-        )
-    if not folder.is_dir():
-        raise OutputError(f"'{folder}' is no folder", file=path, remedy="write elsewhere with -o")
-    if target.is_dir():
-        raise OutputError("is a directory", file=path, remedy="name a file in it")
-    if target.exists() and not overwrite:
-        raise OutputError(
-            "exists already", file=path, remedy="allow it with --overwrite, or name another file"
-        )
+    try:
+        if not stat.S_ISDIR(os.stat(folder).st_mode):
+            raise OutputError(
+                f"'{folder}' is no folder", file=path, remedy="write elsewhere with -o"
+            )
+        mode = os.stat(target).st_mode
+    except FileNotFoundError:
+        if not os.path.lexists(folder):
+            raise OutputError(
+                f"the folder '{folder}' does not exist", file=path, remedy=f"mkdir -p '{folder}'"
+            ) from None
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    except ValueError as error:  # a zero byte in the name
+        raise OutputError(f"is no name of a file ({error})", file=path) from None
+    else:
+        if stat.S_ISDIR(mode):
+            raise OutputError("is a directory", file=path, remedy="name a file in it")
+        if not stat.S_ISREG(mode):
+            raise OutputError(
+                "is a pipe, a socket or a device, not a file",
+                file=path,
+                remedy="name a file; results are written in one step, which only files allow",
+            )
+        if not overwrite:
+            raise OutputError(
+                "exists already",
+                file=path,
+                remedy="allow it with --overwrite, or name another file",
+            )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(
             f"the folder '{folder}' is not writable", file=path, remedy=_REMEDIES[errno.EACCES]
         )
     return target
+
+
+def refuse_stdout(path: str | os.PathLike[str] | None) -> None:
+    """Raise `OutputError` for ``-``, by which other programs mean standard output."""
+    if path is not None and os.fspath(path) == "-":
+        raise OutputError(
+            "results are not written to standard output",
+            file="-",
+            remedy="name a file with -o (a file that is really called '-' is './-')",
+        )
 
 
 @contextmanager
@@ -65,7 +96,8 @@ def atomic(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Bi
     `OutputError` with a remedy.
     """
     target = check_target(path, overwrite)
-    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(6)}.part")
+    start = os.fsdecode(os.fsencode(target.name)[:100])  # names are limited in bytes
+    temporary = target.with_name(f".{start}.{secrets.token_hex(6)}.part")
     try:
         descriptor, nameless = _create(target.parent, temporary)
         try:
@@ -86,11 +118,15 @@ def atomic(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Bi
             "exists already", file=path, remedy="allow it with --overwrite, or name another file"
         ) from None
     except OSError as error:
-        raise OutputError(
-            f"cannot be written: {error.strerror or error}",
-            file=path,
-            remedy=_REMEDIES.get(error.errno or 0, "write elsewhere with -o"),
-        ) from error
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: str | os.PathLike[str], error: OSError) -> OutputError:
+    return OutputError(
+        f"cannot be written: {error.strerror or error}",
+        file=path,
+        remedy=_REMEDIES.get(error.errno or 0, "write elsewhere with -o"),
+    )
 
 
 def _create(folder: Path, temporary: Path) -> tuple[int, bool]:

@@ -17,6 +17,7 @@ from lambent.errors import FileError, LayerError, OptionError, OutputError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import kind_of
+from lambent.frame.opening import open_file
 from lambent.frame.origin import Origin
 from lambent.frame.role import Role, Space
 
@@ -34,8 +35,9 @@ ENDINGS = {
     ".hdr": "hdr",
     ".rgbe": "hdr",
     ".pic": "hdr",
+    ".pfm": "pfm",
 }
-READABLE = ("exr", "png", "jpeg", "tiff", "hdr")
+READABLE = ("exr", "png", "jpeg", "tiff", "hdr", "pfm")
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def read(
     roles: Mapping[str, str] | None = None,
     spp: int | None = None,
 ) -> Frame:
-    """The frame in a file: EXR, PNG, JPEG, TIFF or Radiance HDR.
+    """The frame in a file: EXR, PNG, JPEG, TIFF, Radiance HDR or PFM.
 
     ``view``: of a stereo EXR, by name; None is the main one. ``roles``: the user's own
     ``{role: layer}``; channels with commas, and guides in files of their own
@@ -125,7 +127,7 @@ def write(
     """Write a frame; the ending of the name tells the format. Returns the path.
 
     EXR: back into the frame's own EXR if it has one, else a new file (``half``: 16-bit channels).
-    PNG, JPEG, TIFF, HDR: the beauty (and alpha), with 16 bits where the frame was read from 16.
+    Other pictures: the beauty (and alpha), with 16 bits where the frame was read from 16.
     ``attributes``: texts for the header of an EXR. Use `write_noted` to learn what was clamped,
     clipped or left out. Raises `OutputError`; nothing is left behind then.
     """
@@ -216,6 +218,7 @@ def _write_new(
     texts: Mapping[str, str] | None,
 ) -> tuple[str, ...]:
     from lambent.frame.exr.new import planes_of, write_new
+    from lambent.frame.ldr import Facts
 
     views = [view for view in frames if view]
     planes = {}
@@ -227,7 +230,10 @@ def _write_new(
         attributes["spp"] = first.spp
     if len(views) > 1:
         attributes["multiView"] = views
-    return write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
+    notes = write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
+    facts = first.origin.payload if first.origin else None
+    lost = facts.metadata.lost_in("exr") if isinstance(facts, Facts) else None
+    return notes if lost is None else (*notes, lost)
 
 
 # -------------------------------------------------------------------- images
@@ -280,8 +286,6 @@ def _write_image(
 
 def _kind(path: Path) -> str:
     """The kind of a file by its first bytes. Raises `FileError` for what Lambent cannot read."""
-    from lambent.frame.exr.header import open_file
-
     descriptor = open_file(path)
     try:
         start = os.pread(descriptor, 16, 0)
@@ -295,7 +299,9 @@ def _kind(path: Path) -> str:
     if found is None or found[0] not in READABLE:
         words = found[1] if found else "of a kind that Lambent does not know"
         raise FileError(
-            f"is {words}", file=path, remedy="Lambent reads EXR, PNG, JPEG, TIFF and Radiance HDR"
+            f"is {words}",
+            file=path,
+            remedy="Lambent reads EXR, PNG, JPEG, TIFF, Radiance HDR and PFM",
         )
     return found[0]
 

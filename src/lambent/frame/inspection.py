@@ -286,7 +286,7 @@ def _of_layer(layer: Layer) -> LayerReport:
 
 
 def _of_image(path: Path, frame: Frame) -> Inspection:
-    """PNG, JPEG, TIFF, HDR: one picture."""
+    """PNG, JPEG, TIFF, HDR, PFM: one picture."""
     layers = tuple(_of_layer(layer) for layer in frame.all_layers())
     return Inspection(
         path=str(path),

@@ -1,9 +1,10 @@
-"""PNG, JPEG, TIFF and Radiance HDR: one picture, perhaps with alpha.
+"""PNG, JPEG, TIFF, Radiance HDR and PFM: one picture, perhaps with alpha.
 
 Display-referred pictures (PNG, JPEG, integer TIFF) carry the sRGB transfer; inside Lambent colour
-is linear, so reading undoes it and writing applies it, each with a note. Floating-point TIFF and
-HDR are linear already. Alpha is straight and linear, and stays as it is. What was 16 bits stays
-16 bits.
+is linear, so reading undoes it and writing applies it, each with a note. Floating-point TIFF, HDR
+and PFM are linear already. Alpha is straight and linear, and stays as it is. What was 16 bits stays
+16 bits. The orientation that EXIF tells is applied; the profile, EXIF and XMP are kept
+(`lambent.frame.metadata`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, FileError
+from lambent.frame import exif
 from lambent.frame.atomic import atomic
 from lambent.frame.layer import FloatImage
+from lambent.frame.limits import check_declared
 from lambent.frame.magic import kind_of
+from lambent.frame.metadata import Metadata, profile_name, profile_note
+from lambent.frame.opening import read_file
 from lambent.frame.tonemap import inverse_srgb, srgb
 
 _REMEDY = "the file is damaged: copy it again"
+#: Pixels as stored, what stands beside them, notes.
+_Read = tuple[NDArray[Any], Metadata, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What is needed to write a picture as it was: bits a channel (8, 16, 32), float or not."""
+    """What is needed to write a picture as it was: bits a channel (8, 16, 32), float or not.
+
+    ``metadata``: what stands beside the pixels.
+    """
 
     bits: int = 8
     floating: bool = False
+    metadata: Metadata = field(default_factory=Metadata)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,126 +58,155 @@ class Picture:
 
 
 def read_image(path: str | os.PathLike[str]) -> Picture:
-    """Read a PNG, JPEG, TIFF or HDR. Raises `FileError`, `DamagedFileError`."""
+    """Read a PNG, JPEG, TIFF, HDR or PFM. Raises `FileError`, `DamagedFileError`."""
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"cannot be read: {error.strerror}", file=path) from error
+    content = read_file(path)
     found = kind_of(content[:16])
-    readers: dict[str, Callable[[bytes, Path], tuple[NDArray[Any], tuple[str, ...]]]] = {
-        "png": _read_png, "jpeg": _read_pillow, "tiff": _read_tiff, "hdr": _read_hdr,
+    readers: dict[str, Callable[[bytes, Path], _Read]] = {
+        "png": _read_png, "jpeg": _read_jpeg, "tiff": _read_tiff, "hdr": _read_hdr,
+        "pfm": _read_pfm,
     }  # fmt: skip
     if found is None or found[0] not in readers:
         raise FileError(f"is {found[1] if found else 'no picture'}", file=path)
-    pixels, notes = readers[found[0]](content, path)
-    return _picture(found[0], pixels, notes, path)
+    pixels, metadata, notes = readers[found[0]](content, path)
+    pixels, metadata, turns = _upright(pixels, metadata)
+    return _picture(found[0], pixels, metadata, (*notes, *turns), path)
 
 
-def _picture(kind: str, pixels: NDArray[Any], notes: tuple[str, ...], path: Path) -> Picture:
+def _upright(pixels: NDArray[Any], metadata: Metadata) -> _Read:
+    """The picture as it is looked at, and its metadata saying that it is."""
+    notes: tuple[str, ...] = ()
+    try:
+        orientation, block, xmp = exif.upright(metadata.exif, metadata.xmp)
+    except ValueError as error:
+        notes = (f"Its EXIF is damaged ({error}): left out.",)
+        orientation, block, xmp = exif.upright(None, metadata.xmp)
+    if orientation != 1:
+        pixels = exif.turned(pixels, orientation)
+        notes = (*notes, f"It was turned upright, as its EXIF orientation ({orientation}) asks.")
+    dpi = metadata.dpi[::-1] if metadata.dpi and orientation >= 5 else metadata.dpi
+    return pixels, replace(metadata, exif=block, xmp=xmp, dpi=dpi), notes
+
+
+def _picture(
+    kind: str, pixels: NDArray[Any], metadata: Metadata, notes: tuple[str, ...], path: Path
+) -> Picture:
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
         raise FileError(f"has the shape {pixels.shape}, which is no picture", file=path)
     floating = pixels.dtype.kind == "f"
     bits = pixels.dtype.itemsize * 8
-    values = pixels.astype(np.float32)
-    if not floating:
-        values /= np.float32(2**bits - 1)
-    grey = pixels.shape[2] in (1, 2)
-    colour, alpha = values[:, :, : 1 if grey else 3], None
-    if pixels.shape[2] in (2, 4):
-        alpha = np.ascontiguousarray(values[:, :, -1:])
-    if not floating:
-        colour = inverse_srgb(colour)
+    colours = 1 if pixels.shape[2] in (1, 2) else 3
+    if floating:
+        values = pixels.astype(np.float32)
+        colour, alpha = values[:, :, :colours], values[:, :, colours:]
+    else:
+        steps = np.arange(2**bits, dtype=np.float32) / np.float32(2**bits - 1)
+        colour = inverse_srgb(steps)[pixels[:, :, :colours]]
+        alpha = steps[pixels[:, :, colours:]]
         notes = (*notes, f"{bits}-bit sRGB values were made linear.")
     return Picture(
-        kind, np.ascontiguousarray(colour, np.float32), alpha, Facts(bits, floating), notes
+        kind,
+        np.ascontiguousarray(colour, np.float32),
+        np.ascontiguousarray(alpha) if alpha.shape[2] else None,
+        Facts(bits, floating, metadata),
+        (*notes, *profile_note(metadata.icc)),
     )
 
 
-def _read_png(content: bytes, path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+def _read_png(content: bytes, path: Path) -> _Read:
     from lambent.frame.png16 import header, read_png16
+    from lambent.frame.png_chunks import metadata_of
 
     if header(content, path)[2] == 16:
-        return read_png16(content, path), ()
-    return _read_pillow(content, path)
+        pixels: NDArray[Any] = read_png16(content, path)
+    else:
+        pixels = _decoded(content, path, "PNG")[0]
+    return pixels, *metadata_of(content, path)
 
 
-def _read_pillow(content: bytes, path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    from PIL import Image, ImageCms
+def _read_jpeg(content: bytes, path: Path) -> _Read:
+    from lambent.frame.jpeg import metadata_of
 
-    notes: tuple[str, ...] = ()
+    metadata = metadata_of(content)
+    pixels, used, notes = _decoded(content, path, "JPEG", metadata.icc)
+    return pixels, replace(metadata, icc=None) if used else metadata, notes
+
+
+def _read_tiff(content: bytes, path: Path) -> _Read:
+    from lambent.frame.tiff import NeedsPillowError, metadata_of, read_tiff
+
     try:
-        with Image.open(io.BytesIO(content)) as image:
+        return read_tiff(content, path)
+    except NeedsPillowError:
+        metadata, notes = metadata_of(content)
+        pixels, used, more = _decoded(content, path, "TIFF", metadata.icc)
+        metadata = replace(metadata, icc=None) if used else metadata
+        return pixels, metadata, (*notes, *more)
+
+
+def _read_hdr(content: bytes, path: Path) -> _Read:
+    from lambent.frame.radiance import notes_of, read_hdr
+
+    return read_hdr(content, path), Metadata(), notes_of(content)
+
+
+def _read_pfm(content: bytes, path: Path) -> _Read:
+    from lambent.frame.pfm import read_pfm
+
+    pixels, notes = read_pfm(content, path)
+    return pixels, Metadata(), notes
+
+
+def _decoded(
+    content: bytes, path: Path, kind: str, icc: bytes | None = None
+) -> tuple[NDArray[Any], bool, tuple[str, ...]]:
+    """What Pillow makes of the pixels, whether ``icc`` was applied to them, and notes."""
+    from PIL import JpegImagePlugin, PngImagePlugin, TiffImagePlugin
+
+    # Not `Image.open`: its own limit is one for the whole process.
+    plugin: Any = {
+        "PNG": PngImagePlugin.PngImageFile,
+        "JPEG": JpegImagePlugin.JpegImageFile,
+        "TIFF": TiffImagePlugin.TiffImageFile,
+    }[kind]
+    try:
+        with plugin(io.BytesIO(content)) as image:
+            bands = len(image.getbands())
+            check_declared(image.width, image.height, bands, 4, path, stored=len(content))
             image.load()
-            if (profile := image.info.get("icc_profile")) is not None:
-                try:
-                    name = ImageCms.getProfileDescription(
-                        ImageCms.ImageCmsProfile(io.BytesIO(profile))
-                    ).strip()
-                except ImageCms.PyCMSError:
-                    name = "unreadable"
-                if "srgb" not in name.lower():
-                    notes = (f"Its colour profile ({name}) is not used: taken as sRGB.",)
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             grey = image.mode in ("1", "L", "LA", "I;16", "I;16B")
-            if not image.mode.startswith("I;16"):
-                mode = ("L" if grey else "RGB") + ("A" if has_alpha else "")
-                if image.mode == "CMYK":
-                    notes = (*notes, "CMYK values were made sRGB without a profile.")
-                image = image.convert(mode)
-            return np.asarray(image), notes
-    except Image.DecompressionBombError as error:
-        raise FileError(f"is larger than Pillow allows ({error})", file=path) from None
-    except (OSError, SyntaxError, ValueError, EOFError, IndexError) as error:
+            if image.mode.startswith("I;16"):
+                return np.asarray(image), False, ()
+            if image.mode == "CMYK":
+                return _from_cmyk(image, icc)
+            mode = ("L" if grey else "RGB") + ("A" if has_alpha else "")
+            return np.asarray(image.convert(mode)), False, ()
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError, TypeError) as error:
         raise DamagedFileError(f"cannot be decoded ({error})", file=path, remedy=_REMEDY) from None
 
 
-def _read_tiff(content: bytes, path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    import tifffile
+def _from_cmyk(image: Any, icc: bytes | None) -> tuple[NDArray[Any], bool, tuple[str, ...]]:
+    """Four inks to RGB, by the profile where there is one: no RGB file can keep it."""
+    from PIL import ImageCms
 
-    notes: tuple[str, ...] = ()
-    try:
-        with tifffile.TiffFile(io.BytesIO(content)) as file:
-            page = file.pages[0]
-            if len(file.pages) > 1:
-                notes = (f"Only the first of {len(file.pages)} pages was read.",)
-            if int(page.photometric) not in (0, 1, 2):  # white or black is zero, RGB
-                return _read_pillow(content, path)
-            try:
-                pixels = np.asarray(page.asarray())
-            except ValueError as error:
-                if "imagecodecs" not in str(error):
-                    raise
-                if page.bitspersample != 8:
-                    raise FileError(
-                        f"is packed with {page.compression.name}",
-                        file=path,
-                        remedy="save it without compression, or pip install imagecodecs",
-                    ) from None
-                return _read_pillow(content, path)
-            if page.axes.startswith("S") and pixels.ndim == 3:
-                pixels = np.moveaxis(pixels, 0, 2)
-            if int(page.photometric) == 0:
-                pixels = np.iinfo(pixels.dtype).max - pixels
-    except FileError:
-        raise
-    except Exception as error:  # tifffile raises many kinds for damaged files
-        raise DamagedFileError(f"cannot be decoded ({error})", file=path, remedy=_REMEDY) from None
-    if pixels.dtype not in (np.uint8, np.uint16, np.float16, np.float32):
-        raise FileError(
-            f"holds values of type {pixels.dtype}",
-            file=path,
-            remedy="save it with 8 or 16 bits, or as float",
-        )
-    return pixels, notes
-
-
-def _read_hdr(content: bytes, path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    from lambent.frame.radiance import read_hdr
-
-    return read_hdr(content, path), ()
+    if icc is not None:
+        try:
+            made = ImageCms.profileToProfile(
+                image,
+                ImageCms.ImageCmsProfile(io.BytesIO(icc)),
+                ImageCms.createProfile("sRGB"),
+                outputMode="RGB",
+            )
+            note = f"CMYK values were made sRGB by the colour profile ({profile_name(icc)})."
+            return np.asarray(made), True, (note,)
+        except (ImageCms.PyCMSError, OSError):
+            note = "CMYK values were made sRGB without their colour profile, which is unreadable."
+            return np.asarray(image.convert("RGB")), True, (note,)
+    note = "CMYK values were made sRGB without a profile."
+    return np.asarray(image.convert("RGB")), False, (note,)
 
 
 # ------------------------------------------------------------------- writing
@@ -182,26 +222,37 @@ def write_image(
 ) -> tuple[str, ...]:
     """Write linear ``colour`` ``(H, W, 1 or 3)`` and straight ``alpha``; returns notes.
 
-    ``kind``: ``"png"``, ``"jpeg"``, ``"tiff"`` or ``"hdr"``. PNG and TIFF take 16 bits, TIFF
-    float, where ``facts`` say so. Nothing is tone-mapped: values beyond [0, 1] are clipped in
-    integer formats, and counted in the notes. Raises `OutputError`.
+    ``kind``: ``"png"``, ``"jpeg"``, ``"tiff"``, ``"hdr"`` or ``"pfm"``. PNG and TIFF take 16
+    bits, TIFF float, where ``facts`` say so, and hold the metadata that they can. Nothing is
+    tone-mapped: values beyond [0, 1] are clipped in integer formats, and counted in the notes.
+    Raises `OutputError`.
     """
     facts = facts or Facts()
     notes: list[str] = []
-    if alpha is not None and kind in ("jpeg", "hdr"):
+    if alpha is not None and kind in ("jpeg", "hdr", "pfm"):
         notes.append(f"A {kind.upper()} holds no alpha: it was left out.")
         alpha = None
+    metadata = facts.metadata
+    more: tuple[str, ...] = ()
     if kind == "hdr":
         content = _hdr(colour, notes)
+    elif kind == "pfm":
+        from lambent.frame.pfm import write_pfm
+
+        content = write_pfm(np.asarray(colour, np.float32))
     elif kind == "tiff" and facts.floating:
-        content = _tiff(_joined(np.asarray(colour), alpha))
+        from lambent.frame.tiff import write_tiff
+
+        content, more = write_tiff(_joined(np.asarray(colour), alpha), metadata)
     else:
         bits = 16 if facts.bits >= 16 and kind != "jpeg" else 8
         pixels = _display(colour, alpha, bits, notes)
-        content = _pack(kind, pixels, bits)
+        content, more = _pack(kind, pixels, bits, metadata)
+    if (lost := metadata.lost_in(kind)) is not None:
+        notes.append(lost)
     with atomic(path, overwrite) as out:
         out.write(content)
-    return tuple(notes)
+    return (*notes, *more)
 
 
 def _display(
@@ -223,39 +274,32 @@ def _joined(colour: NDArray[Any], alpha: FloatImage | None) -> NDArray[Any]:
     return colour if alpha is None else np.concatenate([colour, alpha], axis=2)
 
 
-def _pack(kind: str, pixels: NDArray[Any], bits: int) -> bytes:
+def _pack(
+    kind: str, pixels: NDArray[Any], bits: int, metadata: Metadata
+) -> tuple[bytes, tuple[str, ...]]:
     if kind == "tiff":
-        return _tiff(pixels)
+        from lambent.frame.tiff import write_tiff
+
+        return write_tiff(pixels, metadata)
     if bits == 16:
+        from lambent.frame import png_chunks
         from lambent.frame.png16 import write_png16
 
-        return write_png16(pixels)
+        return png_chunks.with_metadata(write_png16(pixels), metadata), ()
     from PIL import Image
 
     buffer = io.BytesIO()
     image = Image.fromarray(pixels[:, :, 0] if pixels.shape[2] == 1 else pixels)
     if kind == "jpeg":
-        image.save(buffer, "JPEG", quality=95, subsampling=0)
-    else:
-        image.save(buffer, "PNG")
-    return buffer.getvalue()
+        from lambent.frame import jpeg
 
+        dpi = metadata.dpi or (0, 0)
+        image.save(buffer, "JPEG", quality=95, subsampling=0, dpi=[round(v) for v in dpi])
+        return jpeg.with_metadata(buffer.getvalue(), metadata)
+    from lambent.frame import png_chunks
 
-def _tiff(pixels: NDArray[Any]) -> bytes:
-    import tifffile
-
-    buffer = io.BytesIO()
-    grey, alpha = pixels.shape[2] < 3, pixels.shape[2] in (2, 4)
-    tifffile.imwrite(
-        buffer,
-        pixels[:, :, 0] if pixels.shape[2] == 1 else pixels,
-        photometric="minisblack" if grey else "rgb",
-        planarconfig=None if pixels.shape[2] == 1 else "contig",
-        extrasamples=["unassalpha"] if alpha else None,
-        compression="zlib",
-        metadata=None,
-    )
-    return buffer.getvalue()
+    image.save(buffer, "PNG")
+    return png_chunks.with_metadata(buffer.getvalue(), metadata), ()
 
 
 def _hdr(colour: FloatImage, notes: list[str]) -> bytes:

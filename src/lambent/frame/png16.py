@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, FileError
+from lambent.frame.limits import check_declared
+from lambent.frame.png_chunks import MAGIC, REMEDY, chunk, chunks
 
-MAGIC = b"\x89PNG\r\n\x1a\n"
 #: Colour type -> channels.
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
-_REMEDY = "the file is damaged: copy it again"
 
 
 def header(content: bytes, path: object = None) -> tuple[int, int, int, int, int]:
     """Width, height, bits, colour type, interlace. Raises `DamagedFileError`."""
     if content[12:16] != b"IHDR" or len(content) < 33:
-        raise DamagedFileError("has no PNG header", file=path, remedy=_REMEDY)
+        raise DamagedFileError("has no PNG header", file=path, remedy=REMEDY)
     width, height, bits, kind, _, _, interlace = struct.unpack(">IIBBBBB", content[16:29])
     return width, height, bits, kind, interlace
 
@@ -39,26 +39,32 @@ def read_png16(content: bytes, path: object = None) -> NDArray[np.uint16]:
         raise FileError(
             "is an interlaced PNG of 16 bits", file=path, remedy="save it without interlacing"
         )
-    if bits != 16 or kind not in _CHANNELS or not 0 < width * height < 1 << 30:
-        raise DamagedFileError("has an impossible PNG header", file=path, remedy=_REMEDY)
-    step = 2 * _CHANNELS[kind]
+    if bits != 16 or kind not in _CHANNELS or not width * height:
+        raise DamagedFileError("has an impossible PNG header", file=path, remedy=REMEDY)
+    channels = _CHANNELS[kind]
+    check_declared(width, height, channels, 4, path, stored=len(content))
+    step = 2 * channels
+    packed = [(name, body) for name, body in chunks(content, path) if name in (b"IDAT", b"tRNS")]
     try:
         unpacker = zlib.decompressobj()
-        raw = unpacker.decompress(b"".join(_data(content, path)), height * (1 + width * step))
+        data = b"".join(body for name, body in packed if name == b"IDAT")
+        raw = unpacker.decompress(data, height * (1 + width * step))
     except zlib.error as error:
-        raise DamagedFileError(f"cannot be unpacked ({error})", file=path, remedy=_REMEDY) from None
+        raise DamagedFileError(f"cannot be unpacked ({error})", file=path, remedy=REMEDY) from None
     if len(raw) != height * (1 + width * step):
-        raise DamagedFileError("ends before its last row", file=path, remedy=_REMEDY)
+        raise DamagedFileError("ends before its last row", file=path, remedy=REMEDY)
     rows = np.frombuffer(raw, np.uint8).reshape(height, 1 + width * step)
     if rows[:, 0].max() > 4:
-        raise DamagedFileError("uses an unknown row filter", file=path, remedy=_REMEDY)
+        raise DamagedFileError("uses an unknown row filter", file=path, remedy=REMEDY)
     pixels = _unfilter(rows[:, 0], rows[:, 1:].reshape(height, width, step))
-    return (
-        pixels.reshape(height, width * step)
-        .view(">u2")
-        .astype(np.uint16)
-        .reshape(height, width, step // 2)
-    )
+    del raw, rows
+    values = pixels.view(">u2").astype(np.uint16)
+    transparent = next((body for name, body in packed if name == b"tRNS"), b"")
+    if channels in (1, 3) and len(transparent) == step:
+        clear = (values == np.frombuffer(transparent, ">u2")).all(axis=2, keepdims=True)
+        alpha = np.where(clear, 0, 65535).astype(np.uint16)
+        values = np.concatenate([values, alpha], axis=2)
+    return values
 
 
 def write_png16(image: NDArray[np.uint16]) -> bytes:
@@ -81,46 +87,24 @@ def write_png16(image: NDArray[np.uint16]) -> bytes:
     head = struct.pack(">IIBBBBB", width, height, 16, kind, 0, 0, 0)
     return b"".join([
         MAGIC,
-        _chunk(b"IHDR", head),
-        _chunk(b"sRGB", b"\0"),
-        _chunk(b"IDAT", zlib.compress(filtered.tobytes(), 6)),
-        _chunk(b"IEND", b""),
+        chunk(b"IHDR", head),
+        chunk(b"IDAT", zlib.compress(filtered.tobytes(), 6)),
+        chunk(b"IEND", b""),
     ])  # fmt: skip
-
-
-def _chunk(name: bytes, body: bytes) -> bytes:
-    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-
-
-def _data(content: bytes, path: object) -> list[bytes]:
-    found, at = [], len(MAGIC)
-    while at + 12 <= len(content):
-        (size,) = struct.unpack_from(">I", content, at)
-        name, body = content[at + 4 : at + 8], content[at + 8 : at + 8 + size]
-        check = content[at + 8 + size : at + 12 + size]
-        if check != struct.pack(">I", zlib.crc32(name + body)):
-            raise DamagedFileError("has a wrong checksum", file=path, remedy=_REMEDY)
-        if name == b"IDAT":
-            found.append(body)
-        if name == b"IEND":
-            return found
-        at += 12 + size
-    raise DamagedFileError("ends too early", file=path, remedy=_REMEDY)
 
 
 def _unfilter(kinds: NDArray[np.uint8], rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Undo the row filters of ``(H, W, bytes)``, one anti-diagonal at a time."""
     height, width, step = rows.shape
-    out = np.zeros((height + 1, width + 1, step), np.int16)
-    kind = kinds.astype(np.int16)[:, None]
-    source = rows.astype(np.int16)
+    out = np.zeros((height + 1, width + 1, step), np.uint8)
     for diagonal in range(height + width - 1):
         y = np.arange(max(0, diagonal - width + 1), min(height, diagonal + 1))
         x = diagonal - y
-        a, b, c = out[y + 1, x], out[y, x + 1], out[y, x]  # left, above, above left
-        k = kind[y]
+        # left, above, above left
+        a, b, c = (out[at].astype(np.int16) for at in ((y + 1, x), (y, x + 1), (y, x)))
+        k = kinds[y, None]
         pa, pb, pc = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
         paeth = np.where((pa <= pb) & (pa <= pc), a, np.where(pb <= pc, b, c))
         guess = np.select([k == 1, k == 2, k == 3, k == 4], [a, b, (a + b) >> 1, paeth], 0)
-        out[y + 1, x + 1] = (source[y, x] + guess) & 255
-    return np.ascontiguousarray(out[1:, 1:].astype(np.uint8))
+        out[y + 1, x + 1] = (rows[y, x] + guess) & 255
+    return np.ascontiguousarray(out[1:, 1:])

@@ -9,14 +9,16 @@ coding and all orientations, and write the new coding, top row first.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, FileError
+from lambent.frame.limits import check_declared
 
 _SIZE = re.compile(rb"^([+-][XY]) (\d{1,7}) ([+-][XY]) (\d{1,7})$")
+#: Header lines that are applied, or that only say who wrote the file.
+_USED = (b"FORMAT", b"EXPOSURE", b"SOFTWARE")
 _REMEDY = "the file is damaged: copy or render it again"
 
 
@@ -31,7 +33,8 @@ def read_hdr(content: bytes, path: object = None) -> NDArray[np.float32]:
     count, length = int(match[2]), int(match[4])  # rows as stored, pixels in one
     if first[1:] == second[1:] or not count or not length:
         raise DamagedFileError("has an impossible size", file=path, remedy=_REMEDY)
-    if count * length > 1 << 30 or count * 2 > len(content) - at:
+    check_declared(length, count, 3, 4, path, stored=len(content))
+    if count * 2 > len(content) - at:
         raise DamagedFileError("ends before its last row", file=path, remedy=_REMEDY)
     pixels = np.empty((count, length, 4), np.uint8)
     for row in range(count):
@@ -45,6 +48,13 @@ def read_hdr(content: bytes, path: object = None) -> NDArray[np.float32]:
     if first[1:] == b"X":  # stored column by column
         image = image.transpose(1, 0, 2)
     return np.ascontiguousarray(image, np.float32)
+
+
+def notes_of(content: bytes) -> tuple[str, ...]:
+    """What the header of an HDR file says that is neither used nor kept."""
+    header, _, _ = _header(content, None)
+    names = sorted(key.decode("latin-1") for key in header if key not in _USED)
+    return (f"Not used and not kept: {', '.join(names)} of its header.",) if names else ()
 
 
 def write_hdr(image: NDArray[np.float32]) -> bytes:
@@ -182,8 +192,3 @@ def _copy_out(out: bytearray, line: NDArray[np.uint8], start: int, end: int) -> 
         piece = line[at : min(at + 128, end)].tobytes()
         out.append(len(piece))
         out += piece
-
-
-def load(path: Path) -> NDArray[np.float32]:
-    """Read an HDR file."""
-    return read_hdr(path.read_bytes(), path)

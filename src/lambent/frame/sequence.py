@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from lambent.errors import FileError, OptionError
+from lambent.frame.opening import unreadable
 
 if TYPE_CHECKING:
     from lambent.frame.frame import Frame
@@ -29,7 +30,7 @@ _GLOB = re.compile(r"[*?]|\[.*\]")
 _NUMBER = re.compile(r"(?P<head>.*?)(?P<number>(?:(?<=[._ ])-|^-)?\d+)(?P<tail>[^\d/]*)$")
 _RANGE = re.compile(r"^(-?\d+)(?:-(-?\d+)(?:x(\d+))?)?$")
 #: What a directory is searched for.
-_PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr")
+_PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".hdr", ".pfm")
 _MOST = 1_000_000
 
 
@@ -38,19 +39,24 @@ class Sequence(Mapping[int, Path]):
     """Frame numbers to paths, in order. Only numbers whose file exists are in it.
 
     ``pattern`` is the name with hashes in place of the number. ``wanted``: the numbers asked for
-    (without a range: from the first to the last there is).
+    (without a range: from the first to the last there is). ``twins``: numbers that two files have
+    (``shot.1.exr`` beside ``shot.0001.exr``), with the second file. ``left_out``: files that the
+    pattern nearly means, such as numbers with other padding, and glob matches without a number.
     """
 
     pattern: str
     files: Mapping[int, Path] = field(repr=False)
     wanted: tuple[int, ...] = field(repr=False)
+    twins: Mapping[int, Path] = field(repr=False, default_factory=dict)
+    left_out: tuple[Path, ...] = field(repr=False, default=())
 
     @classmethod
     def find(cls, pattern: str | os.PathLike[str], frames: str | None = None) -> Sequence:
         """The sequence that a pattern means, limited to a range.
 
-        Raises `FileError` where nothing matches, or where a glob or directory holds several
-        sequences (they are listed; see `find_all`); `OptionError` for a bad range or pattern.
+        Raises `FileError` where nothing matches, where a glob or directory holds several
+        sequences (they are listed; see `find_all`), or where two files have one number;
+        `OptionError` for a bad range or pattern.
         """
         found = cls.find_all(pattern)
         if len(found) > 1:
@@ -60,33 +66,56 @@ class Sequence(Mapping[int, Path]):
                 file=pattern,
                 remedy="name one of them",
             )
-        whole = found[0]
-        if frames is None:
-            return whole
-        wanted = parse_range(frames)
-        files = {n: whole.files[n] for n in wanted if n in whole.files}
+        return found[0].within(frames)
+
+    def within(self, frames: str | None) -> Sequence:
+        """This sequence limited to a range; None is all of it.
+
+        Raises `FileError` where no frame of the range is there, or two files have one number of it;
+        `OptionError` for a bad range.
+        """
+        wanted = self.wanted if frames is None else parse_range(frames)
+        files = {n: self.files[n] for n in wanted if n in self.files}
         if not files:
             raise FileError(
                 f"no frame of {frames} is there",
-                file=whole.pattern,
-                remedy=f"there are {whole.span}",
+                file=self.pattern,
+                remedy=f"there are {self.span}",
             )
-        return cls(whole.pattern, MappingProxyType(files), wanted)
+        for number in files:
+            if number in self.twins:
+                raise FileError(
+                    f"'{files[number].name}' and '{self.twins[number].name}' are both "
+                    f"frame {number}",
+                    file=self.pattern,
+                    remedy="rename or move one of them, or leave the number out with --frames",
+                )
+        return Sequence(self.pattern, MappingProxyType(files), wanted, self.twins, self.left_out)
 
     @classmethod
     def find_all(cls, pattern: str | os.PathLike[str]) -> list[Sequence]:
-        """Every sequence that a pattern, glob or directory means, by name."""
+        """Every sequence that a pattern, glob or directory means, by name.
+
+        Raises `FileError` where nothing matches or the folder cannot be read, `OptionError`.
+        """
         text = os.fspath(pattern)
         path = Path(text)
+        try:
+            return cls._search(path, text)
+        except OSError as error:
+            raise unreadable(path, error) from error
+
+    @staticmethod
+    def _search(path: Path, text: str) -> list[Sequence]:
         if path.is_dir():
             names = [p for p in path.iterdir() if p.suffix.lower() in _PICTURES]
-            found = _grouped(p for p in names if p.is_file() and not p.name.startswith("."))
+            found = grouped(p for p in names if p.is_file() and not p.name.startswith("."))
         elif path.is_file():
             found = _siblings(path)
         elif _PLACE.search(path.name):
             found = _matching(path)
         elif _GLOB.search(text):
-            found = _grouped(p for p in map(Path, glob.glob(text)) if p.is_file())
+            found = grouped(p for p in map(Path, sorted(glob.glob(text))) if p.is_file())
         elif _PLACE.search(text):
             raise OptionError(
                 f"'{text}' has the frame number in a folder's name",
@@ -99,8 +128,9 @@ class Sequence(Mapping[int, Path]):
                 remedy="a sequence is shot.####.exr, shot.%04d.exr, 'shot.*.exr' or a directory",
             )
         if not found:
+            nothing = "no file matches, or none has a frame number"
             raise FileError(
-                "no numbered picture is in it" if path.is_dir() else "no file matches",
+                "no numbered picture is in it" if path.is_dir() else nothing,
                 file=text,
                 remedy=_nearby(path),
             )
@@ -235,6 +265,8 @@ def _matching(path: Path) -> list[Sequence]:
     width = _width(place)
     name = re.compile(re.escape(head) + r"(-?\d+)" + re.escape(tail) + "$")
     found: dict[int, Path] = {}
+    twins: dict[int, Path] = {}
+    left_out: list[Path] = []
     folder = path.parent
     for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
         match = name.match(entry)
@@ -244,39 +276,51 @@ def _matching(path: Path) -> list[Sequence]:
         digits = match[1].lstrip("-")
         # Exactly as printf writes it, or the digits alone padded (some programs write -0001).
         exact = match[1] == _padded(number, width)
-        loose = number < 0 and len(digits) == width and number not in found
-        if exact or loose:
+        if not exact and not (number < 0 and len(digits) == width):
+            left_out.append(folder / entry)
+        elif number in found:
+            twins[number] = folder / entry
+        else:
             found[number] = folder / entry
     pattern = str(folder / f"{head}{'#' * width}{tail}")
-    return [_sequence(pattern, found)] if found else []
+    return [_sequence(pattern, found, twins, left_out)] if found else []
 
 
 def _siblings(path: Path) -> list[Sequence]:
     """The sequence that one file belongs to; a file without a number is one of its own."""
     if _split(path) is None:
-        return [_sequence(str(path), {1: path})]
+        return [_sequence(str(path), {1: path}, {}, [])]
     head, _, tail = _split(path) or ("", "", "")
     same = [
         p
         for p in path.parent.iterdir()
         if (parts := _split(p)) is not None and (parts[0], parts[2]) == (head, tail)
     ]
-    return _grouped(same)
+    return grouped(same)
 
 
-def _grouped(paths: Iterable[Path]) -> list[Sequence]:
+def grouped(paths: Iterable[Path]) -> list[Sequence]:
     """Files by what their names have in common beside the last number."""
     groups: dict[tuple[Path, str, str], dict[int, Path]] = {}
+    twins: dict[tuple[Path, str, str], dict[int, Path]] = {}
     digits: dict[tuple[Path, str, str], list[str]] = {}
+    left_out: list[Path] = []
     for path in sorted(paths):
         parts = _split(path)
         if parts is None:
+            left_out.append(path)
             continue
         key = (path.parent, parts[0], parts[2])
-        groups.setdefault(key, {}).setdefault(int(parts[1]), path)
+        group, number = groups.setdefault(key, {}), int(parts[1])
+        (twins.setdefault(key, {}) if number in group else group)[number] = path
         digits.setdefault(key, []).append(parts[1])
     return [
-        _sequence(str(folder / f"{head}{'#' * _common(digits[folder, head, tail])}{tail}"), files)
+        _sequence(
+            str(folder / f"{head}{'#' * _common(digits[folder, head, tail])}{tail}"),
+            files,
+            twins.get((folder, head, tail), {}),
+            left_out,
+        )
         for (folder, head, tail), files in sorted(groups.items())
     ]
 
@@ -294,12 +338,16 @@ def _common(numbers: list[str]) -> int:
     return shortest if padded or shortest == max(map(len, numbers)) else 1
 
 
-def _sequence(pattern: str, files: Mapping[int, Path]) -> Sequence:
+def _sequence(
+    pattern: str, files: Mapping[int, Path], twins: Mapping[int, Path], left_out: Iterable[Path]
+) -> Sequence:
     ordered = {n: files[n] for n in sorted(files)}
     first, last = min(ordered), max(ordered)
     # Numbers that are dates or ids are no range.
     wanted = tuple(range(first, last + 1)) if last - first < _MOST else tuple(ordered)
-    return Sequence(pattern, MappingProxyType(ordered), wanted)
+    return Sequence(
+        pattern, MappingProxyType(ordered), wanted, MappingProxyType(dict(twins)), tuple(left_out)
+    )
 
 
 def _nearby(path: Path) -> str:
@@ -307,7 +355,7 @@ def _nearby(path: Path) -> str:
     folder = path if path.is_dir() else path.parent
     if not folder.is_dir():
         return f"the folder '{folder}' does not exist"
-    found = _grouped(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES)
+    found = grouped(p for p in folder.iterdir() if p.suffix.lower() in _PICTURES)
     if not found:
         return f"'{folder}' holds no numbered pictures"
     names = ", ".join(f"{Path(s.pattern).name} ({s.span})" for s in found[:4])

@@ -244,7 +244,8 @@ def photographs(folder: Path) -> list[Photograph]:
             "there is no such folder of pictures", file=folder, remedy="name one with PNG or JPEG"
         )
     found = []
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in _ENDINGS):
+    visible = (p for p in folder.iterdir() if not p.name.startswith("."))  # macOS: "._a.jpg"
+    for path in sorted(p for p in visible if p.suffix.lower() in _ENDINGS):
         try:
             with Image.open(path) as image:
                 pixels = np.asarray(image.convert("RGB"), np.uint8)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from lambent.errors import DamagedFileError, DeepFileError, FileError
 from lambent.frame.exr.values import COMPRESSIONS, text_of, value_of
 from lambent.frame.magic import EXR_MAGIC, kind_of
+from lambent.frame.opening import open_file
 
 REMEDY = "the file is damaged: copy or render it again"
 
@@ -322,25 +323,6 @@ def coordinates(part: PartHeader) -> NDArray[np.int32]:
 
 
 # ------------------------------------------------------------------- opening
-
-
-def open_file(path: Path) -> int:
-    """A descriptor for reading. Raises `FileError` that says what is there instead."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
-    except FileNotFoundError:
-        near = sorted(p.name for p in path.parent.glob("*.exr"))[:5] if path.name else []
-        raise FileError(
-            "there is no such file",
-            file=path,
-            remedy=f"in its folder there are: {', '.join(near)}" if near else "check the path",
-        ) from None
-    except OSError as error:
-        raise FileError(f"cannot be opened: {error.strerror}", file=path) from error
-    if os.path.isdir(path):
-        os.close(descriptor)
-        raise FileError("is a directory", file=path, remedy="name a file in it")
-    return descriptor
 
 
 class _Cursor:
