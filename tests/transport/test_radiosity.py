@@ -373,6 +373,18 @@ def test_materials_that_are_not_diffuse_are_named():
     assert not solved(boxes.room()).notes
 
 
+def test_bump_and_normal_maps_that_are_left_out_are_named():
+    scene = boxes.room()
+    heights = {"type": "bitmap", "bitmap": mi.Bitmap(np.eye(4, dtype=np.float32)), "raw": True}
+    bumps = {"type": "bumpmap", "heights": heights, "bsdf": boxes.grey(0.5)}
+    scene["block"]["bsdf"] = {"type": "twosided", "bsdf": bumps}
+    found = solved(scene)
+    assert list(found.notes) == ["bump and normal maps are left out, their surfaces flat: 1 shapes"]
+    flat = boxes.room()
+    flat["block"]["bsdf"] = {"type": "twosided", "bsdf": boxes.grey(0.5)}
+    np.testing.assert_allclose(found.radiosity, solved(flat).radiosity, rtol=1e-5, atol=1e-7)
+
+
 def test_instances_are_unfolded(tmp_path):
     path = tmp_path / "scene.xml"
     path.write_text(
