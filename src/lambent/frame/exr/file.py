@@ -19,7 +19,7 @@ from lambent.frame.exr.header import Container, PartHeader
 from lambent.frame.exr.module import enough_memory
 from lambent.frame.exr.pixels import Arrays, bands, decode_rows
 from lambent.frame.exr.values import COMPRESSIONS
-from lambent.frame.exr.whole import read_whole
+from lambent.frame.exr.whole import read_whole, readable
 
 #: Parts up to so many bytes are decoded once and kept: writing back needs them again.
 KEEP_BYTES = 256 << 20
@@ -66,8 +66,11 @@ class Pixels:
     def arrays(self) -> Arrays:
         """Every channel, decoded together and kept."""
         with enough_memory(self.file.path):
-            whole = read_whole(self.file) if self._alone else None
-            return _frozen(whole[0] if whole else decode_rows(self.file, self.packed))
+            if not self._alone or not readable(self.file):
+                return _frozen(decode_rows(self.file, self.packed))
+            whole = read_whole(self.file)
+            # What failed here is tried again where the reason can be heard.
+            return _frozen(whole[0] if whole else decode_rows(self.file, self.packed, apart=True))
 
     @property
     def _alone(self) -> bool:

@@ -34,12 +34,16 @@ _NOT_HERE = ("htj2k256", "htj2k32", "lj2k")
 _SHORTEST = len(b"~\0string\0") + 4
 
 
+def readable(container: Container) -> bool:
+    """Whether the module can read this file by itself, if its pixels are sound."""
+    return container.open_name is not None and all(_plain(part) for part in container.parts)
+
+
 def read_whole(container: Container) -> list[Arrays] | None:
     """Every channel of every part in its own type and sampled size, or None."""
-    place = container.open_name
-    if place is None or not all(_plain(part) for part in container.parts):
+    if not readable(container):
         return None
-    found, _ = parts_of(place, -1, container.path)
+    found, _ = parts_of(container.open_name, -1, container.path)
     if len(found) != len(container.parts):
         return None
     whole = []
