@@ -12,12 +12,13 @@ from pathlib import Path
 
 import exr_samples
 import numpy as np
+import OpenEXR
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lambent.errors import DamagedFileError, DeepFileError, FileError
-from lambent.frame.exr import decode
+from lambent.frame.exr import decode, encode
 from lambent.frame.exr.header import Container
 from lambent.frame.files import read
 
@@ -77,16 +78,81 @@ def test_truncation_anywhere(kind: str, tmp_path: Path) -> None:
             decode(path)
 
 
+def emptied(content: bytes, rows: slice = slice(None)) -> bytes:
+    """The file with zeros in (some places of) its offset tables."""
+    container = Container(None, content)
+    count = sum(part.chunk_count for part in container.parts)
+    table = container.header_size
+    offsets = np.frombuffer(content, "<u8", count, table).copy()
+    offsets[rows] = 0
+    return content[:table] + offsets.tobytes() + content[table + 8 * count :]
+
+
 def test_a_render_that_was_stopped(tmp_path: Path) -> None:
-    """Offsets of zero: the renderer never came to these rows. The count is told."""
-    content = bytearray(exr_samples.content("ZIPS_COMPRESSION"))
+    """An empty table, and the last rows are not there: the renderer never came to them."""
+    content = exr_samples.content("ZIPS_COMPRESSION")
+    end = int(Container(None, content).chunks[0].start[30])
     path = tmp_path / "stopped.exr"
-    path.write_bytes(content)
-    table = decode(path).container.header_size
-    content[table + 8 * 30 : table + 8 * 37] = bytes(8 * 7)
-    path.write_bytes(content)
+    for stopped in (emptied(content)[:end], emptied(content, slice(30, None))[:end]):
+        path.write_bytes(stopped)
+        with pytest.raises(DamagedFileError, match=r"7 of 37 pieces .* missing"):
+            decode(path)
+    path.write_bytes(emptied(content)[: end + 30])
     with pytest.raises(DamagedFileError, match=r"7 of 37 pieces .* missing"):
         decode(path)
+
+
+@pytest.mark.parametrize("kind", ["scanline", "decreasing", "tiled", "parts"])
+def test_a_table_that_is_empty_or_wrong_is_made_anew(kind: str, tmp_path: Path) -> None:
+    """All chunks are there: the same pixels, told, and written back with a table."""
+    content = exr_samples.content(
+        "ZIPS_COMPRESSION",
+        tiled=kind in ("tiled", "parts"),
+        parts=3 if kind == "parts" else 1,
+        extra={"lineOrder": OpenEXR.DECREASING_Y} if kind == "decreasing" else None,
+    )
+    path, table = tmp_path / "in.exr", Container(None, content).header_size
+    path.write_bytes(content)
+    wanted = decode(path)
+    assert not read(path).notes
+    swapped = bytearray(content)
+    swapped[table : table + 16] = content[table + 8 : table + 16] + content[table : table + 8]
+    beyond = bytearray(content)
+    beyond[table + 7] = 0x7F
+    for broken in (emptied(content), emptied(content, slice(3, 9)), bytes(swapped), bytes(beyond)):
+        path.write_bytes(broken)
+        exr = decode(path)
+        for part, one in zip(wanted.parts, exr.parts, strict=True):
+            for name, channel in part.channels.items():
+                assert one.channels[name].data.tobytes() == channel.data.tobytes()
+        assert "pieces of the picture, which are all there" in " ".join(read(path).notes)
+        new = {(0, "R"): exr.parts[0].channels["R"].data + 1}
+        for replaced in ({}, new):
+            encode(tmp_path / "out.exr", exr, replaced, overwrite=True)
+            back = decode(tmp_path / "out.exr")
+            assert not back.container.rebuilt
+            assert back.parts[0].channels["G"].data.tobytes() == (
+                wanted.parts[0].channels["G"].data.tobytes()
+            )
+
+
+def test_a_table_with_holes_in_a_file_with_gaps(tmp_path: Path) -> None:
+    """Bytes of nobody between two chunks: what lies before and the table's own are enough."""
+    content = exr_samples.content("ZIPS_COMPRESSION")
+    container = Container(None, content)
+    start, table = container.chunks[0].start, container.header_size
+    moved = start + np.where(np.arange(37) >= 20, 5, 0)
+    for empty, sound in ((slice(3, 9), True), (slice(22, 25), False)):
+        offsets = moved.copy()
+        offsets[empty] = 0
+        body = content[table + 8 * 37 : start[20]] + b"?????" + content[start[20] :]
+        path = tmp_path / "gap.exr"
+        path.write_bytes(content[:table] + offsets.astype("<u8").tobytes() + body)
+        if sound:
+            assert decode(path).container.chunks[0].start.tolist() == moved.tolist()
+        else:
+            with pytest.raises(DamagedFileError, match="3 of 37 pieces"):
+                decode(path)
 
 
 def damaged(compression: str, seed: int = 0, tiled: bool = False) -> bytes:
@@ -120,7 +186,7 @@ READ_EACH = """
 import sys
 from pathlib import Path
 from lambent.errors import DamagedFileError
-from lambent.frame.exr import decode
+from lambent.frame.exr import decode, encode
 from lambent.frame.exr.header import Container
 for path in sorted(Path(sys.argv[1]).glob("*.exr")):
     try:
@@ -272,6 +338,57 @@ def test_nonsense_sizes_are_refused_before_memory_is_asked_for(tmp_path: Path) -
         path.write_bytes(content.replace(box, struct.pack("<4i", 0, 0, x, y), 1))
         with pytest.raises(DamagedFileError):
             decode(path)
+
+
+def test_a_declared_size_beyond_what_the_file_can_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40000x40000 pixels in a small file: refused before anything is decoded; one may allow it."""
+    content = exr_samples.content("ZIP_COMPRESSION")
+    box = struct.pack("<4i", 0, 0, exr_samples.WIDTH - 1, exr_samples.HEIGHT - 1)
+    path = tmp_path / "huge.exr"
+    large = content.replace(box, struct.pack("<4i", 0, 0, 39999, 39999), 1)
+    path.write_bytes(large + bytes(9999))
+    with pytest.raises(FileError, match="declares 40000x40000 pixels") as caught:
+        decode(path)
+    assert "LAMBENT_MAX_DECODED=24G" in caught.value.remedy
+    monkeypatch.setenv("LAMBENT_MAX_DECODED", "24G")
+    with pytest.raises(DamagedFileError, match="of 2500 pieces"):
+        decode(path)
+    monkeypatch.setenv("LAMBENT_MAX_DECODED", "10K")
+    path.write_bytes(content)
+    with pytest.raises(FileError, match="declares 29x37 pixels"):
+        decode(path)
+
+
+WITHIN_4_GB = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+from lambent.frame.exr import decode, encode
+for path in sys.argv[1:]:
+    exr = decode(path)
+    new = {(0, name): channel.data + 1 for name, channel in exr.parts[0].channels.items()}
+    encode(path + ".out", exr, new)
+    back = decode(path + ".out")
+    for name, channel in back.parts[0].channels.items():
+        assert (channel.data == new[0, name]).all()
+    assert back.container.parts[0].tiles == exr.container.parts[0].tiles
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a limit on the memory of a process")
+def test_tiles_larger_than_the_picture_take_no_memory(tmp_path: Path) -> None:
+    """A tile 130 million pixels high of a picture of 3x3: read and written as small as it is."""
+    paths = []
+    pixels = {"R": np.ones((3, 3), np.float16), "Z": np.ones((3, 3), np.float32)}
+    for compression in ("ZIP", "DWAA", "PIZ", "B44"):
+        content = exr_samples.content(f"{compression}_COMPRESSION", tiled=True, channels=pixels)
+        for width, height in ((16, 130_000_000), (130_000_000, 8), (2**29, 2**29)):
+            paths.append(tmp_path / f"{compression}{width}x{height}.exr")
+            tiles = struct.pack("<IIB", width, height, 0)
+            paths[-1].write_bytes(content.replace(struct.pack("<IIB", 16, 8, 0), tiles))
+    done = run_python(WITHIN_4_GB, *paths)
+    assert done.returncode == 0, done.stderr
 
 
 # ---------------------------------------------------------------------- fuzz

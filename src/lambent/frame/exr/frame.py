@@ -83,7 +83,7 @@ def frame_of(
         )
     chosen = [f for f in identified.layers if f.view in ("", view)]
     window = _frame_window(exr, chosen)
-    notes = list(identified.notes)
+    notes = [*(exr.container.notes if exr.container else ()), *identified.notes]
     covering = [f for f in chosen if _covers(exr, f, window)]
     for found in chosen:
         if not _covers(exr, found, window):

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import FileError
+from lambent.errors import FileError, OutputError
 from lambent.frame.exr.apart import decode_apart
 from lambent.frame.exr.header import Container, Level, PartHeader
 from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of
@@ -225,6 +225,14 @@ def _codec_pieces(
     return head + table.astype("<u8").tobytes(), each()
 
 
+def tile_size(part: PartHeader, level: Level) -> tuple[int, int]:
+    """Width and height of a level's tiles, none larger than the level: the module takes memory for
+    what a header states, though what lies outside the picture is not stored.
+    """
+    assert part.tiles is not None
+    return min(part.tiles.width, level.width), min(part.tiles.height, level.height)
+
+
 def safe_names(part: PartHeader) -> list[str]:
     """Channel names for the module, which cannot show bytes that are no UTF-8 as text."""
     try:
@@ -256,7 +264,7 @@ def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:
     flags = 0x400 if max(map(len, names)) > 31 else 0
     if part.tiles:
         flags |= 0x200
-        tiles = struct.pack("<IIB", part.tiles.width, part.tiles.height, 0)
+        tiles = struct.pack("<IIB", *tile_size(part, level), 0)
         attributes.append((b"tiles", b"tiledesc", tiles))
     body = b"".join(
         name + b"\0" + kind + b"\0" + struct.pack("<i", len(raw)) + raw
@@ -350,7 +358,7 @@ def module_part(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int
         header["dwaCompressionLevel"] = level_of_dwa
     if part.tiles:
         tiles = exr.TileDescription()
-        tiles.xSize, tiles.ySize = part.tiles.width, part.tiles.height
+        tiles.xSize, tiles.ySize = min(part.tiles.width, width), min(part.tiles.height, height)
         header["tiles"] = tiles
     channels = {
         safe: exr.Channel(safe, np.ascontiguousarray(arrays[c.name]), 1, 1, bool(c.p_linear))
@@ -372,7 +380,16 @@ def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: in
             Container(None, content)  # raises for a file that was cut off
             return content
     stream = io.BytesIO()
-    exr.File(parts, num_threads=0).write(stream)
+    try:
+        exr.File(parts, num_threads=0).write(stream)
+    except MemoryError:
+        raise
+    except Exception as error:  # the module raises many kinds; all mean the same here
+        raise OutputError(
+            f"OpenEXR cannot pack it with {COMPRESSIONS[part.compression].upper()} ({error})",
+            layer=_name(part),
+            remedy="render it with another compression (ZIP takes everything)",
+        ) from error
     return stream.getvalue()
 
 

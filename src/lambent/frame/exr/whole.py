@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lambent.frame.exr.header import Container, PartHeader
 from lambent.frame.exr.module import module, name_of, parts_of
-from lambent.frame.exr.pixels import Arrays, module_part, safe_names
+from lambent.frame.exr.pixels import Arrays, module_part, safe_names, tile_size
 from lambent.frame.exr.values import COMPRESSIONS, well_formed
 
 #: Compressions that the module can neither read nor write by itself without printing remarks.
@@ -36,6 +36,8 @@ _SHORTEST = len(b"~\0string\0") + 4
 
 def readable(container: Container) -> bool:
     """Whether the module can read this file by itself, if its pixels are sound."""
+    if container.rebuilt:
+        return False  # the module would go by the file's own offset table
     return container.open_name is not None and all(_plain(part) for part in container.parts)
 
 
@@ -67,6 +69,8 @@ def _plain(part: PartHeader) -> bool:
     """Whether the module may see this header."""
     if len(part.levels) > 1 or COMPRESSIONS[part.compression] in _NOT_HERE:
         return False
+    if part.tiles and tile_size(part, part.levels[0]) != (part.tiles.width, part.tiles.height):
+        return False  # the module would take memory for the whole tile
     if not all(well_formed(a.kind, a.raw) for a in part.attributes):
         return False
     return safe_names(part) == [info.name for info in part.channels]
