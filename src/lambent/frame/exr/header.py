@@ -137,7 +137,7 @@ class PartHeader:
         """An attribute by name, or None."""
         return next((a for a in self.attributes if a.name == name), None)
 
-    @property
+    @cached_property
     def unpacked(self) -> int:
         """Bytes of the finest level's pixels."""
         return sum(
