@@ -215,9 +215,7 @@ def sort_out(
     """
     jobs = list(jobs)
     guides = {
-        identity(path): path
-        for job in jobs
-        for path in guides_of(job.source, settings, job.number)
+        identity(path): path for job in jobs for path in guides_of(job.source, settings, job.number)
     }
     jobs = [job for job in jobs if identity(job.source) not in guides]
     check_collisions([(job.source, job.output) for job in jobs], companions, guides.values())

@@ -83,7 +83,8 @@ def identify(
     dialect, why = recognise(exr, images, dialects)
 
     scopes = {scope_of(image, dialect)[0] for image in images}
-    told = {s: spp or samples(exr, dialect, s, generic) for s in scopes | {""}}
+    told = samples(exr, dialect, scopes | {""}, generic)
+    told = {scope: spp or count for scope, count in told.items()}
     matches, notes = assign(images, dialect, generic, _cryptomattes(exr), told)
     wanted = asked_for(images, overrides or {}, exr.path)
     asked = [scope_of(i, dialect)[0] for role, _, i in wanted if role is Role.COLOUR]

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 from lambent.frame.dialects.images import Image, shown
@@ -112,23 +112,33 @@ def recognise(
     return best[1], f"layers are named {shown}"
 
 
-def samples(exr: ExrFile, dialect: Dialect | None, scope: str, extra: Dialect) -> int | None:
-    """Samples per pixel from the header, or None.
+def samples(
+    exr: ExrFile, dialect: Dialect | None, scopes: Iterable[str], extra: Dialect
+) -> dict[str, int | None]:
+    """Samples per pixel of each view layer from the header, or None.
 
-    Where several attributes match, that of the view layer ``scope`` is taken.
+    Where several attributes match, that with the view layer's name between dots is taken.
     """
     found: list[tuple[str, int]] = []
+    texts = list(attributes(exr))
     for pattern, power in (*(dialect.spp if dialect else ()), *extra.spp):
-        for text in attributes(exr):
+        for text in texts:
             match = compiled(pattern).match(text)
-            if match:
-                value = float(match.group(1)) ** power
-                if math.isfinite(value) and 1 <= value < 1e9:
-                    found.append((text, round(value)))
-    for text, value in found:
-        if scope and f".{scope}." in text.partition("=")[0]:
-            return value
-    return found[0][1] if found else None
+            value = float(match.group(1)) ** power if match else 0.0
+            if math.isfinite(value) and 1 <= value < 1e9:
+                found.append((text.partition("=")[0], round(value)))
+    told = dict.fromkeys(scopes, found[0][1] if found else None)
+    longest = max((scope.count(".") + 1 for scope in told), default=0)
+    waiting = {scope for scope in told if scope}
+    for key, value in found:
+        words = key.split(".")
+        for a in range(1, len(words) - 1):
+            for b in range(a + 1, min(a + longest + 1, len(words))):
+                scope = ".".join(words[a:b])
+                if scope in waiting:
+                    waiting.remove(scope)
+                    told[scope] = value
+    return told
 
 
 # ------------------------------------------------------------------------------------- the rules
@@ -182,14 +192,19 @@ def assign(
         scope, text = scope_of(image, dialect)
         beside.setdefault((image.view, scope), set()).add(text.lower())
     tables = [(d, d.title) for d in (dialect, generic) if d is not None]
-    mattes = [compiled(re.escape(name) + r"\d*(\.\w+)?") for name in crypto]
+    mattes = {name.lower() for name in crypto}
+
+    @cache
+    def blocked(pattern: str, view: str, scope: str) -> bool:
+        return any(fits(pattern, name) for name in beside[view, scope])
+
     parents: dict[tuple[int, str], Match] = {}
     matches: list[Match] = []
     notes: list[str] = []
     for image in images:
         scope, text = scope_of(image, dialect)
         shown = text if scope else image.name
-        if any(matte.fullmatch(image.name) for matte in mattes):
+        if mattes and not mattes.isdisjoint(_matte_names(image.name)):
             why = "the header lists it as a cryptomatte"
             matches.append(Match(image, _found(image, Role.ID, why), 0, scope))
             continue
@@ -203,7 +218,9 @@ def assign(
         match, offset = None, 0
         for table, title in tables:
             for rank, rule in enumerate(table.rules):
-                if not _fits(rule, text, image, beside[image.view, scope]):
+                if not _fits(rule, text, image):
+                    continue
+                if rule.without and blocked(rule.without, image.view, scope):
                     continue
                 channels = picked(rule.role, image, rule.stat, asked=rule.cie)
                 if channels is None:
@@ -226,14 +243,19 @@ def assign(
     return matches, notes
 
 
-def _fits(rule: Rule, text: str, image: Image, beside: set[str]) -> bool:
+def _matte_names(name: str) -> Iterator[str]:
+    """The cryptomattes an image of this name may be of: theirs, then a number, a component."""
+    for text in dict.fromkeys((name, re.sub(r"\.\w+$", "", name))):
+        digits = len(text) - len(text.rstrip("0123456789"))
+        yield from (text[: len(text) - n].lower() for n in range(digits + 1))
+
+
+def _fits(rule: Rule, text: str, image: Image) -> bool:
     if rule.hint not in text.lower() or not fits(rule.pattern, text):
         return False
     if rule.component and not fits(rule.component, image.component):
         return False
-    if rule.alpha is not None and rule.alpha != (image.alpha is not None):
-        return False
-    return not (rule.without and any(fits(rule.without, name) for name in beside))
+    return rule.alpha is None or rule.alpha == (image.alpha is not None)
 
 
 def _from_rule(
@@ -305,10 +327,14 @@ def settle(matches: Sequence[Match], scope: str) -> tuple[list[Found], list[str]
         for (view, role, stat), match in best.items()
         if (role, stat) == (Role.COLOUR, Stat.MEAN) and match.image.alpha is not None
     }
+    views_by_alpha: dict[tuple[int, str], list[str]] = {}
     for view, channel in alphas:
-        for match in matches:
+        views_by_alpha.setdefault(channel, []).append(view)
+    for match in matches:
+        channel = match.image.channels[0]
+        for view in views_by_alpha.get(channel, ()) if len(match.image.channels) == 1 else ():
             key = (view, Role.ALPHA, Stat.MEAN)
-            if match.image.channels == (channel,) and (key not in best or best[key].rank >= 0):
+            if key not in best or best[key].rank >= 0:
                 why = f"alpha of '{alphas[view, channel]}'"
                 found = Found(
                     Role.ALPHA, match.found.name, match.image.channels, view=view, why=why
@@ -349,6 +375,7 @@ def settle(matches: Sequence[Match], scope: str) -> tuple[list[Found], list[str]
 def _named_apart(layers: list[Found]) -> list[Found]:
     """Layers of one view with names of their own: a frame finds extra layers by name."""
     used: set[tuple[str, str]] = set()
+    last: dict[tuple[str, str], int] = {}
     result = []
     for found in layers:
         name = found.name
@@ -356,10 +383,11 @@ def _named_apart(layers: list[Found]) -> list[Found]:
             name = (
                 f"{found.name} [{'/'.join(shown(c).rpartition('.')[2] for _, c in found.channels)}]"
             )
-        number = 2
+        number = last.get((found.view, found.name), 1)
         while (found.view, name) in used:
-            name = f"{found.name} #{number}"
             number += 1
+            name = f"{found.name} #{number}"
+        last[found.view, found.name] = number
         used.add((found.view, name))
         result.append(replace(found, name=name))
     return result

@@ -19,7 +19,7 @@ from lambent.frame.exr.header import Container, PartHeader
 from lambent.frame.exr.module import enough_memory
 from lambent.frame.exr.pixels import Arrays, bands, decode_rows
 from lambent.frame.exr.values import COMPRESSIONS
-from lambent.frame.exr.whole import read_whole
+from lambent.frame.exr.whole import read_whole, readable
 
 #: Parts up to so many bytes are decoded once and kept: writing back needs them again.
 KEEP_BYTES = 256 << 20
@@ -66,8 +66,11 @@ class Pixels:
     def arrays(self) -> Arrays:
         """Every channel, decoded together and kept."""
         with enough_memory(self.file.path):
-            whole = read_whole(self.file) if self._alone else None
-            return _frozen(whole[0] if whole else decode_rows(self.file, self.packed))
+            if not self._alone or not readable(self.file):
+                return _frozen(decode_rows(self.file, self.packed))
+            whole = read_whole(self.file)
+            # What failed here is tried again where the reason can be heard.
+            return _frozen(whole[0] if whole else decode_rows(self.file, self.packed, apart=True))
 
     @property
     def _alone(self) -> bool:
@@ -146,7 +149,7 @@ class ExrPart:
         interleaved image, say) and where in the channel their first pixel lies. A small part is
         decoded at once and kept; of a large one, memory beside the targets is one band.
         """
-        for a, b, found in self._bands():
+        for a, b, found in self._bands(targets):
             for name, places in targets.items():
                 step = self.channels[name].y_sampling
                 first, last = a // step, -(-b // step)
@@ -156,10 +159,10 @@ class ExrPart:
                         piece = found[name][top - first : bottom - first]
                         place[top - row : bottom - row] = piece[:, column : column + place.shape[1]]
 
-    def _bands(self) -> Iterable[tuple[int, int, Arrays]]:
+    def _bands(self, names: Iterable[str]) -> Iterable[tuple[int, int, Arrays]]:
         if self.pixels is None or self.pixels.kept or self.pixels.small:
-            whole = {name: c.data for name, c in self.channels.items()}
-            steps = {c.y_sampling for c in self.channels.values()}
+            whole = {name: self.channels[name].data for name in names}
+            steps = {self.channels[name].y_sampling for name in names}
             block = _BLOCK if steps == {1} else self.height
             for a in range(0, self.height, block):
                 b = min(a + block, self.height)

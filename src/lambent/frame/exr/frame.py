@@ -84,7 +84,7 @@ def frame_of(
         )
     chosen = [f for f in identified.layers if f.view in ("", view)]
     window = _frame_window(exr, chosen)
-    notes = list(identified.notes)
+    notes = [*(exr.container.notes if exr.container else ()), *identified.notes]
     covering = [f for f in chosen if _covers(exr, f, window)]
     for found in chosen:
         if not _covers(exr, found, window):
@@ -159,9 +159,10 @@ class _Loader:
             if id(found) not in self.done:
                 seldom = found.role in _SELDOM
                 group = [f for f in self.waiting if (f.role in _SELDOM) == seldom]
-                if found not in group:
+                if all(f is not found for f in group):
                     group = [found]  # asked for a second time
-                self.waiting = [f for f in self.waiting if f not in group]
+                else:
+                    self.waiting = [f for f in self.waiting if (f.role in _SELDOM) != seldom]
                 with enough_memory(self.exr.path):
                     self._decode(group)
             return self.done.pop(id(found))
@@ -261,6 +262,7 @@ def replaced_channels(
             continue
         _check_size(layer, found, origin, frame)
         notes += _place(layer, found, origin, replaced)
+    _paste(origin.exr, origin.window, replaced)
     return replaced, notes
 
 
@@ -294,25 +296,40 @@ def _place(
         part = exr.parts[index]
         if part.channels[name].dtype == np.float16 and (beyond := beyond_half(plane)):
             notes.append(f"{beyond} values of '{name}' exceed a half: clamped to ±65504.")
-        replaced[index, name] = _pasted(part, name, plane, origin.window)
+        replaced[index, name] = _as_stored(part, name, plane, origin.window)
     return notes
 
 
-def _pasted(part: ExrPart, name: str, plane: NDArray[Any], window: Window) -> NDArray[Any]:
-    """The whole channel, in which the pixels of the window are new and the others as they were."""
+def _as_stored(part: ExrPart, name: str, plane: NDArray[Any], window: Window) -> NDArray[Any]:
+    """The plane of a channel, sub-sampled as the channel is."""
     channel = part.channels[name]
     x, y = channel.x_sampling, channel.y_sampling
     row, column = offset(part, window)
     if (x, y) != (1, 1):
         if row % y or column % x or plane.shape[0] % y or plane.shape[1] % x:
             raise LayerError(f"is sub-sampled {x}x{y}, the colour's window is not", layer=name)
-        row, column = row // y, column // x
         plane = plane[::y, ::x]  # a sub-sampled channel holds the samples at even pixels
-    if plane.shape == (part.height // y, part.width // x):
-        return plane
-    whole = np.empty((part.height // y, part.width // x), channel.dtype)
-    part.fill({name: [(whole, 0, 0)]})
-    whole[row : row + plane.shape[0], column : column + plane.shape[1]] = to_type(
-        plane, channel.dtype
-    )
-    return whole
+    return plane
+
+
+def _paste(exr: ExrFile, window: Window, replaced: dict[tuple[int, str], NDArray[Any]]) -> None:
+    """Make planes of the window whole channels, whose other pixels stay as they were.
+
+    A part is decoded once for all its channels.
+    """
+    wholes: dict[int, dict[str, NDArray[Any]]] = {}
+    for (index, name), plane in replaced.items():
+        part, channel = exr.parts[index], exr.parts[index].channels[name]
+        size = (part.height // channel.y_sampling, part.width // channel.x_sampling)
+        if plane.shape != size:
+            wholes.setdefault(index, {})[name] = np.empty(size, channel.dtype)
+    for index, made in wholes.items():
+        part = exr.parts[index]
+        part.fill({name: [(whole, 0, 0)] for name, whole in made.items()})
+        top, left = offset(part, window)
+        for name, whole in made.items():
+            channel, plane = part.channels[name], replaced[index, name]
+            row, column = top // channel.y_sampling, left // channel.x_sampling
+            place = whole[row : row + plane.shape[0], column : column + plane.shape[1]]
+            place[...] = to_type(plane, whole.dtype)
+            replaced[index, name] = whole

@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 
 from lambent.errors import DamagedFileError, DeepFileError, FileError
 from lambent.frame.exr.values import COMPRESSIONS, text_of, value_of
+from lambent.frame.exr.walk import walk
+from lambent.frame.limits import check_bytes
 from lambent.frame.magic import EXR_MAGIC, kind_of
 from lambent.frame.opening import open_file
 
@@ -141,7 +143,7 @@ class PartHeader:
         """An attribute by name, or None."""
         return next((a for a in self.attributes if a.name == name), None)
 
-    @property
+    @cached_property
     def unpacked(self) -> int:
         """Bytes of the finest level's pixels."""
         return sum(
@@ -232,6 +234,9 @@ class Container:
         self.multipart = bool(self.version & _FLAG_PARTS)
         self.parts: tuple[PartHeader, ...] = _headers(cursor, self.version)
         self.header_size = cursor.at
+        if content is None:
+            self._check_size()
+        self.rebuilt = False  # whether `chunks` is not what the file's own table says
         self.chunks: tuple[Chunks, ...] = self._tables(cursor)
 
     def read(self, at: int, count: int) -> bytes:
@@ -253,6 +258,16 @@ class Container:
         return piece
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a person should know about the file's structure, one sentence each."""
+        if not self.rebuilt:
+            return ()
+        return (
+            "The table of where its pixels lie is empty or wrong; it was made anew from the "
+            f"{sum(len(c.start) for c in self.chunks)} pieces of the picture, which are all there.",
+        )
+
+    @property
     def open_name(self) -> str | None:
         """A name by which C code can open this very file again, if there is one."""
         if self._content is not None:
@@ -270,26 +285,63 @@ class Container:
         what = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in what)
         raise DamagedFileError(what, file=self.path, layer=layer, remedy=REMEDY)
 
+    def _check_size(self) -> None:
+        """Refuse a picture that would take far more memory than its file lets expect."""
+        count = len(self.parts)
+        what = f"{self.parts[0].width}x{self.parts[0].height} pixels"
+        what += f" and {count - 1} more parts" if count > 1 else ""
+        declared = sum(part.unpacked for part in self.parts)
+        check_bytes(declared, self.path, what=what, stored=self.size)
+
     def _tables(self, cursor: _Cursor) -> tuple[Chunks, ...]:
         tables = []
         for part in self.parts:
             if part.chunk_count * 8 > self.size - cursor.at:
                 self.damaged(f"the file ends in the table of its {part.chunk_count} chunks")
-            offsets = np.frombuffer(cursor.take(part.chunk_count * 8), "<u8")
-            tables.append(offsets)
+            tables.append(np.frombuffer(cursor.take(part.chunk_count * 8), "<u8"))
+        try:
+            return self._checked(tables, cursor.at)
+        except DamagedFileError:
+            return self._rebuilt(tables, cursor.at)
+
+    def _checked(self, tables: list[NDArray[np.uint64]], first: int) -> tuple[Chunks, ...]:
+        """The chunks by these tables. Raises `DamagedFileError` unless all are where they say."""
         found = []
         for part, offsets in zip(self.parts, tables, strict=True):
-            lead = (4 if self.multipart else 0) + (20 if part.tiles else 8)
-            last = max(self.size - lead, 0)
-            sound = (offsets >= cursor.at) & (offsets <= last)
-            if not sound.all():
+            missing = int((~self._inside(part, offsets, first)).sum())
+            if missing:
                 self.damaged(
-                    f"{int((~sound).sum())} of {len(offsets)} pieces of the picture are missing "
+                    f"{missing} of {len(offsets)} pieces of the picture are missing "
                     "(the file ends too early, or its renderer was stopped)"
                 )
-            start = offsets.astype(np.int64)
+            start, lead = offsets.astype(np.int64), self._lead(part)
             found.append(Chunks(start, self._leaders(part, start, lead), lead))
         return tuple(found)
+
+    def _rebuilt(self, tables: list[NDArray[np.uint64]], first: int) -> tuple[Chunks, ...]:
+        """The chunks where a table is empty or wrong: looked for one after the other."""
+        places = [coordinates(part) for part in self.parts]
+        walked = walk(self.read, first, self.size, places, self.multipart)
+        if all(table.all() for table in walked):
+            chunks = self._checked(walked, first)
+        else:  # gaps end the walk; what the table itself has may be right
+            mended = [
+                np.where(self._inside(part, table, first), table, met)
+                for part, table, met in zip(self.parts, tables, walked, strict=True)
+            ]
+            chunks = self._checked(mended, first)
+        self.rebuilt = True
+        return chunks
+
+    def _lead(self, part: PartHeader) -> int:
+        """Length of the leader of the part's chunks."""
+        return (4 if self.multipart else 0) + (20 if part.tiles else 8)
+
+    def _inside(
+        self, part: PartHeader, offsets: NDArray[np.uint64], first: int
+    ) -> NDArray[np.bool_]:
+        """Which offsets lie between the tables and the end of the file."""
+        return (offsets >= first) & (offsets <= max(self.size - self._lead(part), 0))
 
     def _leaders(self, part: PartHeader, start: NDArray[np.int64], lead: int) -> NDArray[np.int64]:
         """The packed sizes, after checking that each chunk is the one it should be."""

@@ -22,9 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import FileError
+from lambent.errors import FileError, OutputError
+from lambent.frame.exr.apart import decode_apart
 from lambent.frame.exr.header import Container, Level, PartHeader
-from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of, quiet
+from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of
 from lambent.frame.exr.values import COMPRESSIONS
 from lambent.frame.magic import EXR_MAGIC
 
@@ -37,7 +38,7 @@ NONE, ZIP = 0, 3
 _COPY = 4 << 20
 #: Bytes of the longest name that the format allows.
 LONGEST_NAME = 255
-#: Compressions whose library prints remarks.
+#: Compressions whose library prints remarks to standard output.
 _TALKATIVE = ("htj2k256", "htj2k32", "lj2k")
 #: Compressions that unpack at the speed of memory.
 _QUICK = ("none", "rle", "zstd")
@@ -66,11 +67,13 @@ def decode_rows(
     part: PartHeader,
     rows: tuple[int, int] | None = None,
     level: Level | None = None,
+    apart: bool = False,
 ) -> Arrays:
     """All channels of the rows ``[a, b)`` of a level, in their own types and sampled sizes.
 
     ``rows`` count from the top of the data window and start at a chunk (see `bands`); None means
-    all. Raises `DamagedFileError` with what OpenEXR said.
+    all. ``apart``: in a process of its own, as is done anyhow where decoding here fails, for the
+    reason (`lambent.frame.exr.apart`). Raises `DamagedFileError` with what OpenEXR said.
     """
     level = level or part.levels[0]
     a, b = rows or (0, level.height)
@@ -85,20 +88,37 @@ def decode_rows(
             file=container.path,
             remedy="pip install --upgrade OpenEXR",
         )
-    talkative = COMPRESSIONS[part.compression] in _TALKATIVE
-    with _codec_file(container, part, level, chosen, a, b) as (place, threads):
-        found, reason = parts_of(place, threads, container.path, talkative)
-    if not found:
-        if not reason or "MEMORY" in reason:
-            with enough_memory(container.path):  # the module may not tell that this was the cause
-                np.empty(2 * part.unpacked, np.uint8)
-        reason = reason or "OpenEXR gave no reason"
-        container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
-    channels = found[0].channels
-    return {
-        info.name: channels[safe].pixels
-        for info, safe in zip(part.channels, safe_names(part), strict=True)
-    }
+    reason = ""
+    if not apart and COMPRESSIONS[part.compression] not in _TALKATIVE:
+        with _codec_file(container, part, level, chosen, a, b) as (place, threads):
+            found, reason = parts_of(place, threads, container.path)
+        if found:
+            channels = found[0].channels
+            return {
+                info.name: channels[safe].pixels
+                for info, safe in zip(part.channels, safe_names(part), strict=True)
+            }
+    head, pieces = _codec_pieces(container, part, level, chosen, a, b)
+    packed, more = decode_apart(b"".join([head, *pieces]), container.path)
+    if packed is not None:
+        return _taken_apart(part, level, b - a, packed)
+    reason = more or reason
+    if not reason or "MEMORY" in reason:  # which B44 says of damage, too
+        with enough_memory(container.path):
+            np.empty(2 * part.unpacked, np.uint8)
+    reason = reason or "OpenEXR gave no reason"
+    container.damaged(f"the pixels cannot be decoded ({reason})", layer=_name(part))
+
+
+def _taken_apart(part: PartHeader, level: Level, height: int, raw: bytes) -> Arrays:
+    """Channels from their bytes, one after the other."""
+    found, at = {}, 0
+    for channel in part.channels:
+        size = (height // channel.y_sampling, level.width // channel.x_sampling)
+        count = size[0] * size[1]
+        found[channel.name] = np.frombuffer(raw, channel.dtype, count, at).reshape(size)
+        at += count * channel.dtype.itemsize
+    return found
 
 
 def _name(part: PartHeader) -> str | None:
@@ -207,6 +227,14 @@ def _codec_pieces(
     return head + table.astype("<u8").tobytes(), each()
 
 
+def tile_size(part: PartHeader, level: Level) -> tuple[int, int]:
+    """Width and height of a level's tiles, none larger than the level: the module takes memory for
+    what a header states, though what lies outside the picture is not stored.
+    """
+    assert part.tiles is not None
+    return min(part.tiles.width, level.width), min(part.tiles.height, level.height)
+
+
 def safe_names(part: PartHeader) -> list[str]:
     """Channel names for the module, which cannot show bytes that are no UTF-8 as text.
 
@@ -246,7 +274,7 @@ def _codec_header(part: PartHeader, level: Level, a: int, b: int) -> bytes:
     flags = 0x400 if max(map(len, names)) > 31 else 0
     if part.tiles:
         flags |= 0x200
-        tiles = struct.pack("<IIB", part.tiles.width, part.tiles.height, 0)
+        tiles = struct.pack("<IIB", *tile_size(part, level), 0)
         attributes.append((b"tiles", b"tiledesc", tiles))
     body = b"".join(
         name + b"\0" + kind + b"\0" + struct.pack("<i", len(raw)) + raw
@@ -308,8 +336,10 @@ def survives(
 ) -> bool:
     """Whether these channels come back bit for bit when packed with the part's compression."""
     stream = io.BytesIO(_little_file(part, arrays, first))
-    with quiet():
-        back = module().File(stream, separate_channels=True).parts[0].channels
+    found, _ = parts_of(stream, 0, "(memory)")
+    if not found:
+        return False
+    back = found[0].channels
     safe = dict(zip((c.name for c in part.channels), safe_names(part), strict=True))
     return all(same_bits(arrays[n], back[safe[n]].pixels) for n in names)
 
@@ -338,7 +368,7 @@ def module_part(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: int
         header["dwaCompressionLevel"] = level_of_dwa
     if part.tiles:
         tiles = exr.TileDescription()
-        tiles.xSize, tiles.ySize = part.tiles.width, part.tiles.height
+        tiles.xSize, tiles.ySize = min(part.tiles.width, width), min(part.tiles.height, height)
         header["tiles"] = tiles
     channels = {
         safe: exr.Channel(safe, np.ascontiguousarray(arrays[c.name]), 1, 1, bool(c.p_linear))
@@ -360,7 +390,16 @@ def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: in
             Container(None, content)  # raises for a file that was cut off
             return content
     stream = io.BytesIO()
-    exr.File(parts, num_threads=0).write(stream)
+    try:
+        exr.File(parts, num_threads=0).write(stream)
+    except MemoryError:
+        raise
+    except Exception as error:  # the module raises many kinds; all mean the same here
+        raise OutputError(
+            f"OpenEXR cannot pack it with {COMPRESSIONS[part.compression].upper()} ({error})",
+            layer=_name(part),
+            remedy="render it with another compression (ZIP takes everything)",
+        ) from error
     return stream.getvalue()
 
 

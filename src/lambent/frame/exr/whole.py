@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from lambent.frame.exr.header import Container, PartHeader
 from lambent.frame.exr.module import module, name_of, parts_of
-from lambent.frame.exr.pixels import Arrays, module_part, safe_names
+from lambent.frame.exr.pixels import Arrays, module_part, safe_names, tile_size
 from lambent.frame.exr.values import COMPRESSIONS, well_formed
 
 #: Compressions that the module can neither read nor write by itself without printing remarks.
@@ -34,12 +34,18 @@ _NOT_HERE = ("htj2k256", "htj2k32", "lj2k")
 _SHORTEST = len(b"~\0string\0") + 4
 
 
+def readable(container: Container) -> bool:
+    """Whether the module can read this file by itself, if its pixels are sound."""
+    if container.rebuilt:
+        return False  # the module would go by the file's own offset table
+    return container.open_name is not None and all(_plain(part) for part in container.parts)
+
+
 def read_whole(container: Container) -> list[Arrays] | None:
     """Every channel of every part in its own type and sampled size, or None."""
-    place = container.open_name
-    if place is None or not all(_plain(part) for part in container.parts):
+    if not readable(container):
         return None
-    found, _ = parts_of(place, -1, container.path)
+    found, _ = parts_of(container.open_name, -1, container.path)
     if len(found) != len(container.parts):
         return None
     whole = []
@@ -63,6 +69,8 @@ def _plain(part: PartHeader) -> bool:
     """Whether the module may see this header."""
     if len(part.levels) > 1 or COMPRESSIONS[part.compression] in _NOT_HERE:
         return False
+    if part.tiles and tile_size(part, part.levels[0]) != (part.tiles.width, part.tiles.height):
+        return False  # the module would take memory for the whole tile
     if not all(well_formed(a.kind, a.raw) for a in part.attributes):
         return False
     return safe_names(part) == [info.name for info in part.channels]

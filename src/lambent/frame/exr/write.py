@@ -99,7 +99,7 @@ def encode(
     by_part = _by_part(exr, replaced or {})
     notes: list[str] = []
     with atomic(path, overwrite) as out:
-        if not by_part and not attributes:
+        if not by_part and not attributes and not container.rebuilt:
             _copy(container, out, [(0, container.size)])
             return ()
         packs = [_Repack(container, part, by_part.get(part.index, {}), notes) for part in exr.parts]
