@@ -36,7 +36,6 @@ from lambent.denoise.files import (
     make_folder,
     number_of,
     process,
-    roles_of,
     save,
 )
 from lambent.denoise.pipeline import Settings

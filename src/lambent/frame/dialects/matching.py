@@ -127,7 +127,8 @@ def samples(
             value = float(match.group(1)) ** power if match else 0.0
             if math.isfinite(value) and 1 <= value < 1e9:
                 found.append((text.partition("=")[0], round(value)))
-    told = dict.fromkeys(scopes, found[0][1] if found else None)
+    usual = found[0][1] if found else None
+    told: dict[str, int | None] = {scope: usual for scope in scopes}
     longest = max((scope.count(".") + 1 for scope in told), default=0)
     waiting = {scope for scope in told if scope}
     for key, value in found:
