@@ -36,7 +36,6 @@ from lambent.denoise.files import (
     make_folder,
     number_of,
     process,
-    roles_of,
     save,
 )
 from lambent.denoise.pipeline import Settings
@@ -215,9 +214,7 @@ def sort_out(
     """
     jobs = list(jobs)
     guides = {
-        identity(path): path
-        for job in jobs
-        for path in guides_of(job.source, settings, job.number)
+        identity(path): path for job in jobs for path in guides_of(job.source, settings, job.number)
     }
     jobs = [job for job in jobs if identity(job.source) not in guides]
     check_collisions([(job.source, job.output) for job in jobs], companions, guides.values())
