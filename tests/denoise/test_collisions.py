@@ -33,7 +33,7 @@ def refused(renders: Path, capsys, *args: object) -> str:
     before = {p: p.read_bytes() for p in renders.rglob("*") if p.is_file()}
     for more in ([], ["--overwrite"]):
         capsys.readouterr()
-        assert main(["denoise", *map(str, args), "--model", "box", *more]) == 2
+        assert main(["denoise", *map(str, args), "--model", "oidn-fast", *more]) == 2
         assert {p: p.read_bytes() for p in renders.rglob("*") if p.is_file()} == before
     return capsys.readouterr().err
 
@@ -47,7 +47,8 @@ def test_two_folders_with_one_name(renders, capsys):
 
 def test_a_finished_result_is_not_taken_for_that_of_another_input(renders, capsys):
     assert (
-        main(["denoise", str(renders / "a/x.exr"), "-o", f"{renders}/out/", "--model", "box"]) == 0
+        main(["denoise", str(renders / "a/x.exr"), "-o", f"{renders}/out/", "--model", "oidn-fast"])
+        == 0
     )
     refused(renders, capsys, renders / "a/x.exr", renders / "b/x.exr", "-o", renders / "out")
 
@@ -86,7 +87,7 @@ def test_previews_and_reports_beside(renders, capsys):
     write(renders / "a" / "x_preview.png", frame)
     alone = (renders / "a/x_preview.png", "-o", renders / "a" / "x.png", "--preview")
     capsys.readouterr()
-    assert main(["denoise", *map(str, alone), "--overwrite", "--model", "box"]) == 2
+    assert main(["denoise", *map(str, alone), "--overwrite", "--model", "oidn-fast"]) == 2
     assert "is an input" in capsys.readouterr().err
 
 
@@ -94,7 +95,7 @@ def test_a_preview_that_is_not_ours_stops_a_sequence(renders, capsys):
     precious = renders / "a_clean" / "x_preview.png"
     precious.parent.mkdir()
     precious.write_text("precious")
-    assert main(["denoise", str(renders / "a"), "--preview", "--model", "box"]) == 2
+    assert main(["denoise", str(renders / "a"), "--preview", "--model", "oidn-fast"]) == 2
     assert "the preview exists already" in capsys.readouterr().err
     assert precious.read_text() == "precious"
 
@@ -104,7 +105,7 @@ def test_the_library_refuses_too(renders):
     with pytest.raises(OutputError, match="is an input"):
         sort_out(
             listed_jobs([renders / "a/x.exr", renders / "a/x_clean.exr"]).jobs,
-            Settings.checked(model="box"),
+            Settings.checked(model="oidn-fast"),
             overwrite=True,
         )
 
@@ -113,11 +114,11 @@ def test_a_sequence_may_replace_itself(renders):
     """That is what --overwrite allows; hard links are names of their own, and stay whole."""
     os.link(renders / "b" / "x.exr", renders / "b" / "z.exr")
     before = (renders / "a" / "y.exr").read_bytes()
-    done = denoise_sequence(renders / "a", renders / "a", overwrite=True, model="box")
+    done = denoise_sequence(renders / "a", renders / "a", overwrite=True, model="oidn-fast")
     assert len(done.done) == 2
     assert (renders / "a" / "y.exr").read_bytes() != before
     kept = (renders / "b" / "x.exr").read_bytes()
-    done = denoise_sequence(renders / "b", renders / "b", overwrite=True, model="box")
+    done = denoise_sequence(renders / "b", renders / "b", overwrite=True, model="oidn-fast")
     assert len(done.done) == 2
     assert (renders / "b" / "x.exr").read_bytes() != kept
 
@@ -139,9 +140,9 @@ def test_case_counts_where_the_folder_says_so(tmp_path, monkeypatch):
 
 def test_what_is_left_out_is_said(renders, capsys):
     (renders / "a" / "paint.tif").touch()
-    assert main(["denoise", str(renders / "a" / "x.exr"), "--model", "box"]) == 0
+    assert main(["denoise", str(renders / "a" / "x.exr"), "--model", "oidn-fast"]) == 0
     capsys.readouterr()
-    assert main(["denoise", str(renders / "a"), "--model", "box"]) == 0
+    assert main(["denoise", str(renders / "a"), "--model", "oidn-fast"]) == 0
     text = capsys.readouterr().err
     assert "left out: x_clean.exr (made by an earlier command)" in text
     assert "left out: paint.tif (no EXR)" in text
