@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import os
 import sys
@@ -88,10 +89,29 @@ def test_variable_that_names_nothing_useful(bare: Path, monkeypatch: pytest.Monk
 
 def test_command_lines() -> None:
     script = Path("/x/server.py")
-    assert Blender("py", True).command(script, "/s") == ["py", "-u", "/x/server.py", "/s"]
+    assert Blender("py", True).command(script, "/s") == ["py", "-I", "-u", "/x/server.py", "/s"]
     line = Blender("blender", False).command(script, "/s")
     assert line[:2] == ["blender", "-b"]
+    assert "--disable-autoexec" in line
     assert line[-4:] == ["--python", "/x/server.py", "--", "/s"]
+
+
+def test_no_module_comes_from_the_current_folder(tmp_path, monkeypatch) -> None:
+    """A real Python: neither asking it for bpy nor starting it runs what lies around."""
+    mark, folder = tmp_path / "mark", tmp_path / "folder"
+    folder.mkdir()
+    for name in ("contextlib", "json", "importlib", "sitecustomize", "usercustomize", "bpy"):
+        (folder / f"{name}.py").write_text(f"open({str(mark)!r}, 'w').close()\n")
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    monkeypatch.setenv("PYTHONSTARTUP", str(folder / "bpy.py"))
+    monkeypatch.setenv(finding.VARIABLE, sys.executable)
+    finding._has_bpy.cache_clear()
+    with contextlib.suppress(EngineError):  # this Python may have a bpy
+        find_blender()
+    with BlenderProcess(Blender(sys.executable, True)) as process, contextlib.suppress(EngineError):
+        process.start()
+    assert not mark.exists()
 
 
 # ------------------------------------------------------------------------------------- talking

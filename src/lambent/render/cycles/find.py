@@ -2,7 +2,8 @@
 
 Asked in this order: ``$LAMBENT_BLENDER`` (a Python or a Blender, for who wants a certain one), the
 Python that runs Lambent, a ``blender`` on the path. Blender is never loaded into Lambent's own
-process: it brings its own versions of many libraries, and ends a process as it likes.
+process: it brings its own versions of many libraries, and ends a process as it likes. Its Python
+starts isolated (``-I``): neither the current folder nor the environment gives it modules.
 """
 
 from __future__ import annotations
@@ -35,8 +36,9 @@ class Blender:
     def command(self, script: Path, scratch: str) -> list[str]:
         """The command line that runs a script with one argument."""
         if self.python:
-            return [self.program, "-u", str(script), scratch]
-        start = ["-b", "--factory-startup", "-noaudio", "--python-exit-code", "3"]
+            return [self.program, "-I", "-u", str(script), scratch]
+        start = ["-b", "--factory-startup", "--disable-autoexec", "-noaudio"]
+        start += ["--python-exit-code", "3"]
         return [self.program, *start, "--python", str(script), "--", scratch]
 
 
@@ -80,7 +82,9 @@ def _has_bpy(program: str) -> bool:
     """Whether a Python knows bpy, found without loading it."""
     code = "import importlib.util as u; raise SystemExit(u.find_spec('bpy') is None)"
     try:
-        done = subprocess.run([program, "-c", code], capture_output=True, timeout=60, check=False)
+        done = subprocess.run(
+            [program, "-I", "-c", code], capture_output=True, timeout=60, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return False
     return done.returncode == 0

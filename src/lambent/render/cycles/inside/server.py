@@ -1,6 +1,6 @@
 """The script that runs in Blender's Python and renders what it is told, until its input ends.
 
-Started as ``python server.py SCRATCH`` or ``blender -b --factory-startup --python server.py --
+Started as ``python -I server.py SCRATCH`` or ``blender -b --factory-startup --python server.py --
 SCRATCH``. Orders come as JSON lines on stdin, answers go as JSON lines to stdout, each with a key
 ``lambent``: ``ready``, ``progress``, ``done`` or ``error``. Blender's own chatter on stdout is sent
 to stderr: the descriptor of stdout is set aside before anything else can print on it.
