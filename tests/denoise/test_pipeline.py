@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lambent
-from lambent.denoise.pipeline import Settings, clean, is_noisy_alpha
+from lambent.denoise.pipeline import Settings, clean
 from lambent.errors import OptionError, UnknownNameError
 from lambent.filters.denoiser import DENOISERS, About, Denoiser
 from lambent.frame.frame import Frame
@@ -139,12 +139,6 @@ def disc(noise: float) -> np.ndarray:
         fog = np.random.default_rng(0).uniform(0.5 - noise, 0.5 + noise, edge.shape)
         edge = np.where(edge > 0, fog, 0).astype(np.float32)
     return edge[:, :, None]
-
-
-def test_only_noisy_alpha_counts_as_noisy():
-    assert not is_noisy_alpha(disc(0))  # an anti-aliased edge
-    assert not is_noisy_alpha(np.ones((5, 5, 1), np.float32))
-    assert is_noisy_alpha(disc(0.3))
 
 
 @pytest.mark.parametrize(

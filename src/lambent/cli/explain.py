@@ -79,7 +79,8 @@ def explain(
     check_output(output, overwrite, [frame, *([] if reference is None else [reference])])
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
-        noisy, _ = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))
+        noisy, mended = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))
+        repairs = mended.written(()).sentences()
         truth = None if reference is None else read(reference).colour
         progress.report(0, 1, f"weights of {model}")
         found = find_weights(noisy, denoiser, x, y, reference=truth)
@@ -99,9 +100,11 @@ def explain(
     if as_json:
         more = {"beside": [one.as_dict() for one in there]} if there else {}
         shown = None if output is None else str(output)
-        print_json({**found.as_dict(), **more, "picture": shown})
+        print_json({**found.as_dict(), **more, "repairs": repairs, "picture": shown})
     else:
         _print(found)
+        for line in repairs:
+            print(f"  repaired {line}")
         if there:
             _print_beside(there)
         if output is not None:

@@ -237,9 +237,18 @@ def process(
         layers=_unique(name for one in cleaned.values() for name in one.layers),
         notes=_unique(
             [f"{without_beauty(name)} and stays as it is" for name in kept]
-            + [note for one in cleaned.values() for note in one.frame.notes]
+            + [
+                note
+                for one in cleaned.values()
+                for note in one.frame.notes
+                if note not in one.repairs.notes()  # `repairs` has them
+            ]
         ),
-        repairs=_unique(line for one in cleaned.values() for line in one.repairs.sentences()),
+        repairs=_unique(
+            f"view {name}: {line}" if len(cleaned) > 1 else line
+            for name, one in cleaned.items()
+            for line in one.repairs.sentences()
+        ),
         tiles=first.plan.describe() if first.plan else "",
         seconds=seconds,
     )

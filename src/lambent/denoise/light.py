@@ -6,7 +6,7 @@ and G a Gaussian over tens of pixels, every lighting layer is multiplied by
 
     g = G(c) / G(o),    held to [1 / `MOST`, `MOST`]
 
-of the beauty's three channels together: hues stay, layers that sum to the beauty still do, and grey
+(1 where either is not positive) of the beauty's three channels together: hues stay, layers that sum to the beauty still do, and grey
 stays grey. The light of a firefly is so redistributed over its surroundings, in proportion to what
 is there. That costs error, since G(c) has noise of its own (docs/first_denoise.md), so it is done
 only where it is asked for.
@@ -30,8 +30,9 @@ MOST = 1.5
 def gain(before: FloatImage, after: FloatImage) -> FloatImage:
     """g ``(H, W, 1)`` of the beauty ``(H, W, C)`` before and after filtering."""
     one, two = _local(before), _local(after)
-    dark = 1e-9 * one.mean() + 1e-30  # where there is neither, nothing is changed
-    ratio = (one + dark) / (np.maximum(two, 0) + dark)
+    dark = 1e-9 * np.abs(one).mean() + 1e-30  # where there is neither, nothing is changed
+    lit = (one >= 0) & (two >= 0)  # beneath light that subtracts a ratio means nothing
+    ratio = np.where(lit, (one + dark) / (np.where(lit, two, 0) + dark), 1)
     height, width = before.shape[:2]
     fine = _spread(np.clip(ratio, 1 / MOST, MOST), height, width)
     return np.asarray(fine[:, :, None], np.float32)

@@ -5,6 +5,10 @@ diffuse and specular light, in `denoise.lobes`. Here: planes of the frame → ne
 (`denoise.runtime`) → the predicted means (`kernels.predicted`) → radiance. They run in tiles, whose
 margin the model's card knows.
 
+Negative light (a light that subtracts, colours outside the gamut) has no logarithm: KPCN filters
+the negative part of the specular light like the positive one, with the same kernels, and takes it
+away; DPCN, which has no kernels, leaves the negative part of each lobe as it is.
+
 Other lighting layers get the kernels of the diffuse light (of the whole, where there is one part),
 divided by the albedo and multiplied again; alpha the same without the albedo.
 """
@@ -25,6 +29,7 @@ from lambent.denoise.lobes import Parts, lobes_of, parts_of, together, whole_of
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import FileError, OptionError
 from lambent.filters.denoiser import About, Denoiser
+from lambent.filters.sums import has_negative_light
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role
@@ -116,13 +121,15 @@ class _Learned(Denoiser):
 class _Said:
     """A frame in two parts at a fixed exposure (``factor``), and what the networks say of each.
 
-    ``whole``: the frame has no lobes, and all of it is the diffuse part.
+    ``whole``: the frame has no lobes, and all of it is the diffuse part. ``below``: the negative
+    part of the specular light, turned positive, ``(3, H, W)``.
     """
 
     parts: Parts
     predicted: list[FloatImage]
     whole: bool
     factor: np.float32
+    below: FloatImage
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,10 @@ class _TwoParts(_Learned):
         signals, factor = self._signals(frame)
         parts = parts_of(np, signals)
         predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
-        return _Said(parts, predicted, "diffuse" not in signals.layers, np.float32(factor))
+        diffuse = signals.layers.get("diffuse", signals.colour)
+        below = np.maximum(diffuse - signals.colour, 0)
+        whole = "diffuse" not in signals.layers
+        return _Said(parts, predicted, whole, np.float32(factor), below)
 
 
 @dataclass(frozen=True)
@@ -179,10 +189,17 @@ class KPCN(_TwoParts):
                 predicted_window(image.transpose(1, 2, 0), logits).transpose(2, 0, 1)
                 for image, logits in zip((parts.diffuse, parts.specular), predicted, strict=True)
             )
-            return _image(together(np, diffuse, specular, parts.albedo) / factor, layer)
+            light = together(np, diffuse, specular, parts.albedo)
+            if said.below.any():
+                below = said.below.transpose(1, 2, 0)
+                light = light - _by_logarithm(below, predicted[1]).transpose(2, 0, 1)
+            return _image(light / factor, layer)
         if layer.role is Role.SPECULAR and not said.whole:
-            light = np.log1p(np.maximum(layer.data * factor, 0))
-            return np.asarray(np.expm1(predicted_window(light, predicted[1])) / factor)
+            own = layer.data * factor
+            found = _by_logarithm(np.maximum(own, 0), predicted[1])
+            if float(own.min(initial=0)) < 0:
+                found = found - _by_logarithm(np.maximum(-own, 0), predicted[1])
+            return np.asarray(found / factor)
         albedo = _albedo_for(parts.albedo, layer)
         return predicted_window(layer.data / albedo, predicted[0]) * albedo
 
@@ -200,6 +217,12 @@ class DPCN(_TwoParts):
         when="to compare with kpcn: the same networks, giving colours instead of kernels",
         linear=False,
     )
+
+    def remarks(self, frame: Frame) -> tuple[str, ...]:
+        """Whether there is light that the network cannot say."""
+        if not has_negative_light(frame.colour):
+            return super().remarks(frame)
+        return (*super().remarks(frame), "dpcn gives no negative light: it was left as it is")
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
         """As KPCN. Raises `OptionError` for layers that it does not say: it has no kernels."""
@@ -222,11 +245,12 @@ class DPCN(_TwoParts):
     # --------------------------------------------------------------- private
 
     def _layer(self, layer: Layer, said: _Said) -> FloatImage:
-        diffuse = np.maximum(np.expm1(said.predicted[0]), 0) * said.parts.albedo
+        below = np.minimum(said.parts.diffuse, 0)
+        diffuse = (np.maximum(np.expm1(said.predicted[0]), 0) + below) * said.parts.albedo
         # what it says of a part that is not there means nothing
         specular = np.zeros_like(diffuse)
         if not said.whole:
-            specular = np.maximum(np.expm1(said.predicted[1]), 0)
+            specular = np.maximum(np.expm1(said.predicted[1]), 0) - said.below
         light = {Role.DIFFUSE: diffuse, Role.SPECULAR: specular}.get(layer.role, diffuse + specular)
         return _image(light / said.factor, layer)
 
@@ -359,6 +383,11 @@ def _folded(weights: FloatImage, height: int, width: int) -> FloatImage:
     found[:, -1] += weights[:height, width:].sum(1)
     found[-1, -1] += weights[height:, width:].sum()
     return found
+
+
+def _by_logarithm(light: FloatImage, logits: FloatImage) -> FloatImage:
+    """Light ``(H, W, C)`` from 0 on, averaged as its logarithm (equation 9)."""
+    return np.asarray(np.expm1(predicted_window(np.log1p(light), logits)), np.float32)
 
 
 def _albedo_for(albedo: FloatImage, layer: Layer) -> FloatImage:

@@ -7,13 +7,15 @@ The order and the reasons:
 2. *Filter*: one call for the beauty and all chosen lighting layers, so that a linear filter gives
    all of them the same weights and they still sum. Fitted once to the whole frame, then in tiles
    where memory is short.
-3. *Alpha*: coverage is filtered along with the colour where it is noisy (smoke, depth of field,
-   motion blur), unless the caller decides. Noisy means: a share of the pixels is neither 0 nor 1
-   *and* lies among such pixels; edges that are merely anti-aliased are not noise. An alpha that
-   is filtered is held to [0, 1]; around one that is not, colour (premultiplied) is kept from
+3. *Alpha*: coverage is filtered along with the colour in those pixels where it is noisy (smoke,
+   depth of field, motion blur: `denoise.coverage`), unless the caller decides; all others keep it
+   bit for bit. What is filtered is held to [0, 1]; elsewhere colour (premultiplied) is kept from
    spilling to where there was neither coverage nor light.
 4. *Strength*: a denoiser that can keep more of the input is asked to (`Denoiser.at_strength`);
    then ``(1 − s) · input + s · result``, for every layer alike, so sums hold here too.
+
+What is repaired is written where the layer is filtered, and in alpha; guides, and layers that were
+not chosen, are repaired for the filter only and come back as they were, which the notes say.
 
 How much light the beauty has gained or lost is told: a filter redistributes fireflies, and what it
 gives their surroundings is less than they had. Where it is asked for, they get all of it
@@ -31,6 +33,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from lambent.denoise import memory
+from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
 from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
 from lambent.errors import LayerError, OptionError
@@ -52,9 +55,6 @@ if TYPE_CHECKING:
 
 #: A change of the total light below this is not worth a word.
 LIGHT_CHANGE = 1e-3
-
-#: Alpha counts as noisy when more than this share of the pixels is fractional among fractional.
-NOISY_ALPHA_SHARE = 1e-3
 
 #: Without a limit from the caller, filtering may take this share of the memory that is free.
 FREE_SHARE = 0.8
@@ -261,12 +261,15 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     denoiser.check(frame)
     repaired, repairs = repair(frame, layers=looked_at(frame, denoiser))
     clock.done("repair")
-    chosen = choose_layers(repaired, settings)
+    chosen, where = _chosen(repaired, settings)
+    repairs = repairs.written(written_layers(repaired, chosen, settings))
+    repaired = repaired.noted(*repairs.notes())
     if settings.strength == 0.0 or not _any_light(chosen):
         why = "strength is 0" if settings.strength == 0.0 else "the image is black all over"
         same = frame.noted(*repaired.notes[len(frame.notes) :], f"{why}: nothing was filtered")
-        for layer in chosen:
-            same = same.with_layer(layer)
+        for layer in written_layers(repaired, chosen, settings):
+            if layer in chosen or layer is not frame.layer(*layer.key):
+                same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
     repaired = repaired.noted(*denoiser.remarks(repaired))
     if settings.device == "cuda" and "device" not in parameters(settings.model):
@@ -279,6 +282,8 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     if progress is not None:
         progress(0, 1, "filtering")
     cleaned = filter_tiles(fitted, repaired, chosen, plan, progress)
+    if where is not None and not where.all():
+        repaired = repaired.noted(f"alpha was filtered in {_share(where)} of the pixels")
     if settings.keep_light:
         cleaned = keep_light(chosen, cleaned)
     clock.done("filter")
@@ -288,7 +293,11 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
         chosen,
         cleaned,
         share,
+        where,
     )
+    for layer in written_layers(repaired, chosen, settings):
+        if layer not in chosen and layer is not frame.layer(*layer.key):
+            finished = finished.with_layer(layer)
     finished = finished.noted(*_light_note(chosen[0].data, finished[Role.COLOUR]))
     clock.done("blend")
     names = tuple(layer.name for layer in chosen)
@@ -297,16 +306,19 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
 
 def choose_layers(frame: Frame, settings: Settings) -> list[Layer]:
     """The layers that the settings filter, the beauty first, alpha last."""
-    layers = choose_passes(frame, settings.passes)
-    alpha = frame.layer(Role.ALPHA)
-    if settings.alpha is True and alpha is None:
-        raise frame.missing(Role.ALPHA)
-    if alpha is None or alpha in layers:
-        return layers
-    wanted = settings.alpha
-    if wanted is None:
-        wanted = settings.passes == "all" and is_noisy_alpha(alpha.data)
-    return [*layers, alpha] if wanted else layers
+    return _chosen(frame, settings)[0]
+
+
+def written_layers(repaired: Frame, chosen: list[Layer], settings: Settings) -> list[Layer]:
+    """The layers whose repairs belong in the result: those that are filtered, and alpha.
+
+    Alpha is part of the picture as the beauty is; it stays damaged only where the caller wants
+    it, or the passes, left alone.
+    """
+    alpha = repaired.layer(Role.ALPHA)
+    if alpha is None or alpha in chosen or settings.alpha is False or settings.passes != "all":
+        return chosen
+    return [*chosen, alpha]
 
 
 def looked_at(frame: Frame, denoiser: Denoiser) -> list[str]:
@@ -324,23 +336,6 @@ def looked_at(frame: Frame, denoiser: Denoiser) -> list[str]:
         for layer in frame.all_layers()
         if INFO[layer.role].radiance or layer.role is Role.ALPHA or layer.key in roles
     ]
-
-
-def is_noisy_alpha(alpha: FloatImage) -> bool:
-    """Whether coverage ``(H, W, 1)`` is more than 0, 1 and thin anti-aliased edges."""
-    a = alpha[..., 0]
-    fractional = (a > 1e-3) & (a < 1 - 1e-3)
-    if not fractional.any():
-        return False
-    inside = fractional[1:-1, 1:-1].copy()
-    for rows, columns in (
-        (slice(None, -2), slice(1, -1)),
-        (slice(2, None), slice(1, -1)),
-        (slice(1, -1), slice(None, -2)),
-        (slice(1, -1), slice(2, None)),
-    ):
-        inside &= fractional[rows, columns]
-    return bool(np.count_nonzero(inside) > NOISY_ALPHA_SHARE * a.size)
 
 
 def plan_frame(frame: Frame, denoiser: Denoiser, layers: list[Layer], settings: Settings) -> Plan:
@@ -380,6 +375,23 @@ def without_beauty(view: str) -> str:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _chosen(frame: Frame, settings: Settings) -> tuple[list[Layer], Mask | None]:
+    """The layers that are filtered, and the pixels ``(H, W)`` in which alpha is, if any."""
+    layers = choose_passes(frame, settings.passes)
+    alpha = frame.layer(Role.ALPHA)
+    if alpha is None:
+        if settings.alpha is True:
+            raise frame.missing(Role.ALPHA)
+        return layers, None
+    if alpha in layers or settings.alpha is True:
+        where = ~exact(alpha.data)
+        return (layers if alpha in layers else [*layers, alpha]), where
+    if settings.alpha is False or settings.passes != "all":
+        return layers, None
+    where = noisy_coverage(frame)
+    return ([*layers, alpha], where) if where.any() else (layers, None)
 
 
 def _limit_drjit(settings: Settings) -> None:
@@ -490,34 +502,43 @@ def _any_light(layers: list[Layer]) -> bool:
     return any(layer.data.any() for layer in layers if layer.role is not Role.ALPHA)
 
 
+def _share(where: Mask) -> str:
+    share = float(where.mean())
+    return f"{share:.0%}" if share >= 0.01 else f"{share:.2%}"
+
+
 def _finish(
     original: Frame,
     repaired: Frame,
     chosen: list[Layer],
     cleaned: list[FloatImage],
     strength: float,
+    where: Mask | None,
 ) -> Frame:
-    """Hold alpha to [0, 1], keep colour where there was coverage, blend, replace.
+    """Blend, keep alpha where it has no noise and colour where there was coverage, replace.
 
-    What was not filtered comes from the original, unrepaired: it is no business of ours.
+    ``where``: the pixels in which alpha is filtered. Pixels without coverage and without light in
+    the beauty get their input back in every layer, so that sums hold there, too. What was not
+    filtered comes from the original, unrepaired: it is no business of ours.
     """
     alpha = repaired.layer(Role.ALPHA)
-    filtered_alpha = any(layer.role is Role.ALPHA for layer in chosen)
     empty = None
-    if alpha is not None and not filtered_alpha:
-        beauty = repaired[Role.COLOUR]
-        empty = (alpha.data[..., 0] <= 0) & ~beauty.any(axis=2)
+    if alpha is not None:
+        empty = (alpha.data[..., 0] <= 0) & ~repaired[Role.COLOUR].any(axis=2)
+        if where is not None:
+            empty &= ~where
         if not empty.any():
             empty = None
+    s = np.float32(strength)
     result = original
     for layer, image in zip(chosen, cleaned, strict=True):
-        if layer.role is Role.ALPHA:
-            image = np.clip(image, 0.0, 1.0)
-        elif empty is not None:
-            image = np.where(empty[:, :, None], np.float32(0), image)
         if strength < 1.0:
-            s = np.float32(strength)
             image = layer.data * (1 - s) + image * s
+        if layer.role is Role.ALPHA:
+            assert where is not None
+            image = np.where(where[:, :, None], np.clip(image, 0.0, 1.0), layer.data)
+        elif empty is not None:
+            image = np.where(empty[:, :, None], layer.data, image)
         result = result.with_layer(layer.with_data(image))
     stale = [
         (layer.role, stat) for layer in chosen for stat in (Stat.VARIANCE, Stat.HALF_A, Stat.HALF_B)

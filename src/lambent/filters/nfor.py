@@ -43,6 +43,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
@@ -206,9 +207,10 @@ class NFOR(Denoiser):
         variance = np.array(np.broadcast_to(variance, colour.shape))
         features_a, features_b, features_both = self._features(frame)
         fits = []
+        divided = _divided(frame)
         for own, more, other, guide in (
-            (half_a, more_a, half_b, features_b),
-            (half_b, more_b, half_a, features_a),
+            (np.where(divided, half_a, colour), more_a, half_b, features_b),
+            (np.where(divided, half_b, colour), more_b, half_a, features_a),
         ):
             images = np.concatenate([own, more], axis=2)
             fits.append(self._fit(other, 2 * variance, guide, images, _POWERS))
@@ -353,12 +355,23 @@ def _halves(frame: Frame) -> tuple[FloatImage, FloatImage]:
     return a, b
 
 
+def _divided(frame: Frame) -> NDArray[np.bool_]:
+    """Where a half is four times the beauty at most ``(H, W, 3)``, so that layers can be divided.
+
+    Elsewhere, where negative light in one half meets positive light in the other, both are the
+    whole in either half: layers that sum to the beauty still do.
+    """
+    most = 4 * np.abs(finite(frame.colour))
+    a, b = _halves(frame)
+    return np.asarray((np.abs(a) <= most) & (np.abs(b) <= most))
+
+
 def _shares(frame: Frame) -> list[FloatImage]:
     """A and B over the beauty, ``(H, W, 3)`` within ±4: how a pixel is divided; 1 in the dark."""
     colour = finite(frame.colour)
-    lit = colour > 0
+    lit = (colour != 0) & _divided(frame)
     return [
-        np.where(lit, np.clip(half / np.where(lit, colour, 1), -4, 4), 1).astype(np.float32)
+        np.where(lit, half / np.where(lit, colour, 1), 1).astype(np.float32)
         for half in _halves(frame)
     ]
 

@@ -294,7 +294,7 @@ def limit(plane: FloatImage, mean: FloatImage) -> FloatImage:
     beside it, it falls below zero and rises to many times what is there.
     """
     apart = np.abs(plane - mean)
-    room = np.maximum(mean, 0)
+    room = np.abs(mean)
     share = np.where(apart > room, room / np.where(apart > room, apart, 1), 1)
     least: FloatImage = share.min(axis=2, keepdims=True)
     return least

@@ -13,6 +13,9 @@ What Lambent adds around it:
 - *Layers that sum.* OIDN is not linear: layers filtered one by one no longer add up. Every
   layer is filtered on its own with the same guides; where layers of the input add up to the
   beauty (`lambent.filters.sums`), what is missing afterwards is shared out among them.
+- *Negative light.* OIDN takes it for 0. A layer that has some (light that subtracts, colours
+  outside the gamut) is filtered as two, its positive part and its negative one turned positive,
+  each with its own exposure; the result is their difference.
 - *Grey stays grey.* A colour with three equal channels goes in as one channel; given three, OIDN
   tints it.
 - *Coverage.* Alpha is filtered as a display-referred image of one channel with the same guides.
@@ -25,7 +28,8 @@ What Lambent adds around it:
   A tile that begins elsewhere differs by up to 0.4 whatever the margin.
 
 NaN counts as 0 in OIDN and an infinity spreads: repair frames first (`lambent.frame.repair`).
-Colour below 0 counts as 0, albedo is held to [0, 1] and normals to [-1, 1] by OIDN itself.
+Colour below 0 by less than a thousandth of the mean counts as 0, albedo is held to [0, 1] and
+normals to [-1, 1] by OIDN itself.
 """
 
 from __future__ import annotations
@@ -40,7 +44,7 @@ import numpy as np
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.sums import Term, find_sums, keep_sums, terms
+from lambent.filters.sums import Term, find_sums, has_negative_light, keep_sums, terms
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space
@@ -54,11 +58,16 @@ _BYTES_LARGE = 735
 
 @dataclass(frozen=True)
 class _Look:
-    """Facts of an image that decide how it is filtered; ``exposure`` None means automatic."""
+    """Facts of an image that decide how it is filtered; ``exposure`` None means automatic.
+
+    ``lit``, ``grey`` and ``exposure`` are those of the positive part; ``negative``: of the other
+    one turned positive, None where there is no negative light.
+    """
 
     lit: bool
     grey: bool
     exposure: float | None = None
+    negative: _Look | None = None
 
 
 class _Whole:
@@ -75,9 +84,7 @@ class _Whole:
             found = [own for own in self.frame.all_layers() if own.name == layer.name]
             if not found:  # not a layer of the frame: all there is to see is the tile
                 return _look(layer.data)
-            look = _look(found[0].data)
-            exposure = oidn.exposure(found[0].data) if look.lit else None
-            self._looks[layer.name] = dataclasses.replace(look, exposure=exposure)
+            self._looks[layer.name] = _look(found[0].data, exposed=True)
         return self._looks[layer.name]
 
     def sums(self, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:
@@ -180,7 +187,10 @@ class OIDN(Denoiser):
             return cleaned
         # The factors were found on the whole frame; a tile needs its own part of them.
         own = {t.layer: t for t in terms(parts[1:], frame.all_layers())}
-        here = [tuple(own[t.layer] for t in members) for members in sums]
+        here = [
+            tuple(dataclasses.replace(own[t.layer], signed=t.signed) for t in members)
+            for members in sums
+        ]
         kept = keep_sums(cleaned[0], [cleaned[i] for i in lighting], here)
         for i, image in zip(lighting, kept, strict=True):
             cleaned[i] = image
@@ -213,6 +223,13 @@ class OIDN(Denoiser):
             found.append(f"OIDN holds albedo to 1: {count} pixels lie above")
         if self.normal and frame.has(Role.NORMAL) and not (self.albedo and frame.has(Role.ALBEDO)):
             found.append("OIDN takes normals only together with albedo: they were not used")
+        light = [frame.layer(Role.COLOUR), *frame.lighting().values()]
+        names = [la.name for la in light if la is not None and has_negative_light(la.data)]
+        if names:
+            found.append(
+                "OIDN takes no negative light: what is positive and what is negative in "
+                f"{', '.join(names)} is filtered apart"
+            )
         return tuple(found)
 
     # --------------------------------------------------------------- private
@@ -254,19 +271,37 @@ class OIDN(Denoiser):
         whole = self._whole
         tiled = whole is not None and whole.frame is not frame
         look = whole.look(layer) if whole is not None and tiled else _look(image)
-        if not look.lit:  # OIDN would return a faint glow
-            return np.zeros_like(image)
         alpha = layer.role is Role.ALPHA
         display = alpha or layer.space is Space.SRGB
         hdr = not display if self.hdr is None or alpha else self.hdr
         srgb = layer.space is Space.SRGB if self.srgb is None else self.srgb
-        scale = look.exposure if self.input_scale is None else self.input_scale
         options = self._options(
             hdr=hdr,
             srgb=srgb and not hdr and not alpha,
             clean_aux=self._clean_guides and bool(guides),
-            input_scale=scale if hdr else None,
         )
+        if look.negative is None or not hdr:
+            return self._clean_part(image, look, guides, options, watch)
+        watches = [_Part(watch, half, 2) if watch else None for half in (0, 1)]
+        above, below = np.maximum(image, 0), np.maximum(-image, 0)
+        above = self._clean_part(above, look, guides, options, watches[0])
+        below = self._clean_part(below, look.negative, guides, options, watches[1])
+        return above - below
+
+    def _clean_part(
+        self,
+        image: FloatImage,
+        look: _Look,
+        guides: dict[str, FloatImage],
+        options: Options,
+        watch: Progress | None,
+    ) -> FloatImage:
+        """An image without negative light."""
+        if not look.lit:  # OIDN would return a faint glow
+            return np.zeros_like(image)
+        if options.hdr:
+            scale = look.exposure if self.input_scale is None else self.input_scale
+            options = dataclasses.replace(options, input_scale=scale)
         grey = self.keep_grey and look.grey
         seen = image[:, :, :1] if grey else image
         result = oidn.clean({"color": seen, **guides}, options, watch)
@@ -324,9 +359,15 @@ def is_grey(image: FloatImage) -> bool:
     return True
 
 
-def _look(image: FloatImage) -> _Look:
+def _look(image: FloatImage, exposed: bool = False) -> _Look:
+    """The facts of an image; ``exposed``: with its exposure."""
+    negative = None
+    if has_negative_light(image):
+        negative = _look(np.maximum(-image, 0), exposed)
+        image = np.maximum(image, 0)
     lit = bool(image.any())
-    return _Look(lit, lit and image.shape[2] == 3 and is_grey(image))
+    grey = lit and image.shape[2] == 3 and is_grey(image)
+    return _Look(lit, grey, oidn.exposure(image) if exposed and lit else None, negative)
 
 
 class _Part:

@@ -4,7 +4,7 @@ A linear filter keeps every such sum by itself. For a filter that is not linear 
 the input are found here by looking at the pixels, not at names: direct + indirect, diffuse +
 specular, light groups, whatever a renderer wrote. Layers may enter with a factor image: Cycles
 writes light divided by the surface's colour, so that its beauty is Σ colour·(direct + indirect) +
-emission + environment.
+emission + environment. A layer may subtract.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.repair import NEGATIVE_SHARE
 
 #: A sum is one where it misses the beauty by less than this share of it: halves of beauty, layer
 #: and factor round by 2^-11 each.
@@ -35,10 +36,14 @@ CYCLES = ((" Direct", " Color"), (" Indirect", " Color"), ("Dir", "Col"), ("Ind"
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One summand: a layer by index, times a factor image ``(H, W, 3)`` or nothing."""
+    """One summand: a layer by index, times a factor image ``(H, W, 3)`` or nothing.
+
+    ``signed``: the layer has negative light, and what settles its sums may be negative.
+    """
 
     layer: int
     factor: FloatImage | None = None
+    signed: bool = False
 
     def of(self, images: Sequence[FloatImage]) -> FloatImage:
         """The value of the summand with these images as the layers."""
@@ -57,8 +62,14 @@ def terms(layers: Sequence[Layer], all_layers: Iterable[Layer]) -> list[Term]:
                 partner = by_name.get((layer.name[: -len(light)] + colour).lower())
                 if partner is not None and partner.data.shape == layer.data.shape:
                     factor = partner.data
-        found.append(Term(index, factor))
+        found.append(Term(index, factor, has_negative_light(layer.data)))
     return found
+
+
+def has_negative_light(image: FloatImage) -> bool:
+    """Whether an image is negative by more than a thousandth of its mean absolute value."""
+    low = float(image.min(initial=0))
+    return low < 0 and low < -NEGATIVE_SHARE * float(np.abs(image).mean(dtype=np.float64))
 
 
 def find_sums(
@@ -73,10 +84,10 @@ def find_sums(
     values = [t.of(images) for t in summands]
     where = _samples([beauty, *values])
     at = [v.reshape(-1, v.shape[2])[where].astype(np.float64) for v in values]
-    lit = [i for i in range(len(at)) if at[i].any() and (at[i] >= 0).all()]
-    lit.sort(key=lambda i: -float(at[i].sum()))
+    lit = [i for i in range(len(at)) if at[i].any()]
+    lit.sort(key=lambda i: -float(np.abs(at[i]).sum()))
     goal = beauty.reshape(-1, beauty.shape[2])[where].astype(np.float64)
-    slack = _slack(goal, float(beauty.mean(dtype=np.float64)))
+    slack = _slack(goal, float(np.abs(beauty).mean(dtype=np.float64)))
     sums = []
     for chosen in _subsets([at[i] for i in lit], goal, slack):
         members = [lit[i] for i in chosen]
@@ -90,10 +101,11 @@ def keep_sums(
 ) -> list[FloatImage]:
     """The images, changed so that each of ``sums`` gives ``beauty`` again, to float rounding.
 
-    What is missing is shared out in proportion to the layers' values, which is one factor for all
-    of a sum's layers in a pixel; nothing becomes negative. Where all of them are 0, it goes in
-    equal parts to the summands without a factor (with none such, the pixel stays as it is). A
-    layer of several sums is settled by the first of them that asks.
+    What is missing is shared out in proportion to the layers' absolute values, which is one factor
+    for all of a sum's layers in a pixel where none is negative; then nothing becomes negative.
+    Where all of them are 0, it goes in equal parts to the summands without a factor (with none
+    such, the pixel stays as it is). A layer of several sums is settled by the first of them that
+    asks.
     """
     result = list(images)
     settled: set[int] = set()
@@ -105,14 +117,20 @@ def keep_sums(
         for term in members:
             if term.layer in settled:
                 rest = rest - term.of(result)
-        rest = np.maximum(rest, 0)
-        total = sum((t.of(result) for t in free[1:]), start=free[0].of(result))
+        if not any(t.signed for t in members):
+            rest = np.maximum(rest, 0)
+        values = [t.of(result) for t in free]
+        total = sum(values[1:], start=values[0])
+        size = sum((np.abs(v) for v in values[1:]), start=np.abs(values[0]))
         tiny = np.finfo(np.float32).tiny
-        dark = total <= tiny
-        ratio = np.where(dark, 0, rest / np.maximum(total, tiny)).astype(np.float32)
+        dark = size <= tiny
+        missing = ((rest - total) / np.maximum(size, tiny)).astype(np.float32)
+        ratio = (rest / np.maximum(size, tiny)).astype(np.float32)
+        mixed = total < size  # or the sum of all is `size`, and a ratio rounds better
         plain = sum(t.factor is None for t in free)
-        for term in free:
-            image = result[term.layer] * ratio
+        for term, value in zip(free, values, strict=True):
+            change = np.where(mixed, 1 + missing * np.sign(value), ratio)
+            image = result[term.layer] * np.where(dark, np.float32(0), change)
             if term.factor is None:
                 image = np.where(dark, rest / np.float32(plain), image)
             result[term.layer] = image
@@ -124,11 +142,11 @@ def keep_sums(
 
 
 def _samples(images: Sequence[FloatImage]) -> NDArray[np.intp]:
-    """Indices of pixels spread over the picture, and the brightest pixel of every image."""
+    """Indices of pixels spread over the picture, and of each image's brightest and darkest."""
     pixels = images[0].shape[0] * images[0].shape[1]
     spread = np.linspace(0, pixels - 1, min(pixels, _SAMPLES)).astype(np.intp)
-    bright = [int(image.argmax()) // image.shape[2] for image in images]
-    return np.unique(np.concatenate([spread, np.array(bright, np.intp)]))
+    ends = [int(end) // im.shape[2] for im in images for end in (im.argmax(), im.argmin())]
+    return np.unique(np.concatenate([spread, np.array(ends, np.intp)]))
 
 
 def _slack(goal: NDArray[np.float64], mean: float) -> NDArray[np.float64]:
@@ -141,7 +159,7 @@ def _fits(beauty: FloatImage, values: Sequence[FloatImage]) -> bool:
         miss += value
     np.abs(miss, out=miss)
     miss -= np.float32(RELATIVE) * np.abs(beauty)
-    limit = np.float32(ABSOLUTE * abs(float(beauty.mean(dtype=np.float64))))
+    limit = np.float32(ABSOLUTE * float(np.abs(beauty).mean(dtype=np.float64)))
     return bool(np.count_nonzero(miss <= limit) >= FITTING * miss.size)
 
 
@@ -150,21 +168,25 @@ def _subsets(
     goal: NDArray[np.float64],
     slack: NDArray[np.float64],
 ) -> list[list[int]]:
-    """Sets of non-negative ``parts`` that add up to ``goal``, by depth-first search.
+    """Sets of ``parts`` that add up to ``goal``, by depth-first search.
 
-    A branch ends where a pixel has too much already, or too little even with all the rest.
+    A branch ends where a pixel has too much even with all that subtracts of the rest, or too
+    little even with all that adds.
     """
-    rest = [np.zeros_like(goal)]
+    least, most = [np.zeros_like(goal)], [np.zeros_like(goal)]
     for part in reversed(parts):
-        rest.append(rest[-1] + part)
-    rest.reverse()
+        least.append(least[-1] + np.minimum(part, 0))
+        most.append(most[-1] + np.maximum(part, 0))
+    least.reverse()
+    most.reverse()
     found: list[list[int]] = []
     open_ends: list[tuple[int, list[int], NDArray[np.float64]]] = [(0, [], np.zeros_like(goal))]
     for _ in range(_MOST_STEPS):
         if not open_ends or len(found) == _MOST_SUMS:
             break
         depth, chosen, total = open_ends.pop()
-        if (total > goal + slack).any() or (total + rest[depth] < goal - slack).any():
+        too_much = (total + least[depth] > goal + slack).any()
+        if too_much or (total + most[depth] < goal - slack).any():
             continue
         if depth == len(parts):
             found.append(chosen)

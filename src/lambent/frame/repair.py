@@ -4,16 +4,26 @@ What counts as damage depends on what the layer means:
 
 =================== ============================================================================
 light, its halves   NaN; infinities; negative beyond a thousandth of the median of the layer or the
-                    beauty (less is rounding, or what pixel filters with negative lobes make: kept
-                    and counted); huge: above 1e8 or exactly 65504, the largest half, alone or as a
-                    pair (an area of such values is a light: kept and counted)
+                    beauty, where it is isolated (see below; less is rounding, or what pixel filters
+                    with negative lobes make: kept and counted); huge: above 1e8 or exactly 65504,
+                    the largest half, alone or as a pair (an area of such values is a light: kept
+                    and counted)
 variances           NaN, infinities, negative
-albedo, roughness,  NaN, infinities, negative beyond 0.001
-alpha
+albedo, roughness   NaN, infinities, negative beyond 0.001
+alpha               NaN, infinities, negative beyond 0.001 where it is isolated, beyond 0.25
+                    everywhere: no pixel filter's lobes go there
 normal, motion      NaN, infinities
 depth, position     NaN; infinities are misses (`lambent.frame.misses`)
 ids, others         never looked at
 =================== ============================================================================
+
+Negative light may belong there: a light group can subtract, and colours outside the gamut of the
+file's primaries have negative channels. Such light comes in areas. A negative value is isolated,
+and damage, where fewer than three of its channel's values in the 5x5 pixels around are negative, or
+fewer than a sixth of those that are not 0. All negative light is kept in a layer that has more of
+it than of positive light, and where another layer of light keeps a negative value in the same
+pixel: the beauty, too, is negative where a light subtracts more than there is. Below -1e8 it is
+damage everywhere.
 
 A damaged value becomes the median of the sound values of its channel in the 3x3 pixels around, else
 in 5x5, else 0. Only damaged values change, and none of them enters another pixel.
@@ -25,7 +35,7 @@ all values lie in [0, 1] and the decoded vectors, unlike the raw ones, have leng
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +52,12 @@ HUGE = 1e8
 HALF_MAX = 65504.0
 #: Negative light down to this fraction of the median is kept.
 NEGATIVE_SHARE = 1e-3
+#: Negative values that lie together: so many in 5x5 pixels, and such a share of what is not 0.
+TOGETHER, TOGETHER_SHARE = 3, 1 / 6
+#: A layer of light subtracts where so many values are negative, and fewer are positive.
+SUBTRACTING = 9
+#: Alpha below this is not due to a pixel filter.
+LEAST_ALPHA = -0.25
 #: Neighbours are gathered for so many values at a time, which bounds the memory.
 CHUNK = 1 << 17
 
@@ -51,8 +67,9 @@ class LayerRepairs:
     """What was found in one layer: counts of values (a pixel has one for each channel).
 
     ``nan``, ``infinite``, ``negative``, ``huge`` were replaced, ``pixels`` of them in all;
-    ``zeroed`` of the values had no sound neighbour. ``kept_negative`` and ``kept_huge`` are not
-    damage; they are told all the same.
+    ``zeroed`` of the values had no sound neighbour. ``kept_negative`` (slightly negative),
+    ``kept_together`` (negative in areas) and ``kept_huge`` are not damage; they are told all the
+    same. ``written`` False: the repair served the filter only, the layer itself stays as it was.
     """
 
     name: str
@@ -65,7 +82,9 @@ class LayerRepairs:
     pixels: int = 0
     zeroed: int = 0
     kept_negative: int = 0
+    kept_together: int = 0
     kept_huge: int = 0
+    written: bool = True
 
     @property
     def replaced(self) -> int:
@@ -87,6 +106,8 @@ class LayerRepairs:
         values = "value" if self.replaced == 1 else "values"
         pixels = "1 pixel" if self.pixels == 1 else f"{self.pixels} pixels"
         text = f"'{self.name}': {', '.join(counts)} {values} in {pixels}, replaced by neighbours"
+        if not self.written:
+            text += " for filtering only"
         if self.zeroed:
             text += f" ({self.zeroed} without a sound neighbour are now 0)"
         return text
@@ -98,6 +119,11 @@ class LayerRepairs:
             said.append(
                 f"'{self.name}' has {self.kept_negative} slightly negative values (rounding, or a "
                 "pixel filter with negative lobes); they were kept."
+            )
+        if self.kept_together:
+            said.append(
+                f"'{self.name}' has {self.kept_together} negative values that lie together, as "
+                "light that subtracts and colours outside the gamut do; they were kept."
             )
         if self.kept_huge:
             said.append(
@@ -125,6 +151,19 @@ class Repairs:
         """One sentence for each layer with replaced values."""
         return [layer.sentence() for layer in self.layers if layer.replaced]
 
+    def notes(self) -> list[str]:
+        """The sentences as remarks on a frame."""
+        return [f"repaired {sentence}" for sentence in self.sentences()]
+
+    def written(self, layers: Iterable[Layer]) -> Repairs:
+        """The same where only ``layers`` go on repaired; the others were for filtering only."""
+        kept = {(layer.name, layer.role, layer.stat) for layer in layers}
+        return Repairs(
+            tuple(
+                replace(one, written=(one.name, one.role, one.stat) in kept) for one in self.layers
+            )
+        )
+
     def as_dict(self) -> dict[str, dict[str, int]]:
         """Counts by layer name, for JSON."""
         counted = [f.name for f in fields(LayerRepairs) if f.type == "int"]
@@ -140,19 +179,24 @@ def repair(frame: Frame, layers: Iterable[str] | None = None) -> tuple[Frame, Re
     """
     only = None if layers is None else set(layers)
     beauty = _Median(frame)
+    looked_at = [
+        layer
+        for layer in frame.all_layers()
+        if layer.role not in (Role.ID, Role.OTHER) and (only is None or layer.name in only)
+    ]
+    together = _negative_together(looked_at, beauty)
     found: list[LayerRepairs] = []
     notes: list[str] = []
     result = frame
-    for layer in list(frame.all_layers()):
-        if layer.role in (Role.ID, Role.OTHER) or (only is not None and layer.name not in only):
-            continue
-        pixels, counts = repaired(layer, beauty)
+    for layer in looked_at:
+        pixels, counts = repaired(layer, beauty, together)
         if layer.role is Role.NORMAL and layer.stat is not Stat.VARIANCE:
             decoded = decoded_normals(layer.data if pixels is None else pixels)
             if decoded is not None:
                 pixels = decoded
                 notes.append(
-                    f"'{layer.name}' holds normals encoded as 0.5 + 0.5 n; they were decoded."
+                    f"'{layer.name}' holds normals encoded as 0.5 + 0.5 n; they were decoded for "
+                    "filtering only."
                 )
         if pixels is not None:
             result = result.with_layer(layer.with_data(pixels))
@@ -163,11 +207,12 @@ def repair(frame: Frame, layers: Iterable[str] | None = None) -> tuple[Frame, Re
 
 
 def repaired(
-    layer: Layer, beauty: Callable[[], float] = float
+    layer: Layer, beauty: Callable[[], float] = float, together: Mask | None = None
 ) -> tuple[FloatImage | None, LayerRepairs | None]:
     """New pixels ``(H, W, C)`` of a layer (None: as they were) and counts (None: nothing found).
 
-    ``beauty`` gives the median of the beauty; asked only where light is negative.
+    ``beauty`` gives the median of the beauty; asked only where light is negative. ``together``
+    ``(H, W, 3)``: where other layers of light are negative in areas.
     """
     image = layer.data
     if image.size == 0:
@@ -187,9 +232,16 @@ def repaired(
         with np.errstate(invalid="ignore"):
             below = image < 0 if light else image < floor
             negative = below & (image < floor) & ~bad
-        counts["negative"] = int(np.count_nonzero(negative))
         if light:
             counts["kept_negative"] = int(np.count_nonzero(below & ~negative & ~bad))
+        if light or (layer.role is Role.ALPHA and layer.stat is not Stat.VARIANCE):
+            kept = _together(image, negative, floor, light)
+            if together is not None and light and together.shape[:2] == image.shape[:2]:
+                kept |= negative & _as_channels(together, image.shape[2])
+            kept &= image >= (-HUGE if light else LEAST_ALPHA)
+            counts["kept_together"] = int(np.count_nonzero(kept))
+            negative &= ~kept
+        counts["negative"] = int(np.count_nonzero(negative))
         bad |= negative
     if light:
         huge = ((image > HUGE) | (image == np.float32(HALF_MAX))) & ~bad
@@ -288,6 +340,61 @@ def _floor(layer: Layer, light: bool) -> float:
     if layer.role is Role.DEPTH or INFO[layer.role].low is None:
         return -np.inf  # a camera that looks along -z has negative depths
     return -NEGATIVE_SHARE
+
+
+def _negative_together(layers: Iterable[Layer], beauty: Callable[[], float]) -> Mask | None:
+    """Where any layer of light is negative in areas ``(H, W, 3)``; None where none is."""
+    found: Mask | None = None
+    for layer in layers:
+        image = layer.data
+        if not INFO[layer.role].radiance or layer.stat is not Stat.MEAN or image.size == 0:
+            continue
+        with np.errstate(invalid="ignore"):
+            if not np.nanmin(image, initial=0.0) < 0:
+                continue
+            floor = -NEGATIVE_SHARE * max(_median(image), beauty())
+            negative = (image < floor) & (image >= -HUGE)
+        own = _as_channels(_together(image, negative, floor, True), 3)
+        if found is not None and found.shape != own.shape:
+            continue  # another data window
+        found = own if found is None else found | own
+    return found
+
+
+def _together(image: FloatImage, negative: Mask, floor: float, light: bool) -> Mask:
+    """Which ``negative`` values (below ``floor``) lie together; ``light``: a layer may subtract."""
+    if not negative.any():
+        return negative.copy()
+    with np.errstate(invalid="ignore"):
+        positive = np.isfinite(image) & (image > -floor)
+    if light and SUBTRACTING <= np.count_nonzero(negative) > np.count_nonzero(positive):
+        return negative.copy()
+    below, above = _count_5x5(negative), _count_5x5(positive)
+    enough = (below >= TOGETHER) & (below >= TOGETHER_SHARE * (below.astype(np.float32) + above))
+    return np.asarray(negative & enough)
+
+
+def _as_channels(mask: Mask, count: int) -> Mask:
+    """``(H, W, 1 or 3)`` as ``(H, W, count)``: grey stands for all three, and any for grey."""
+    if mask.shape[2] == count:
+        return mask
+    if count == 1:
+        return np.asarray(mask.any(axis=2, keepdims=True))
+    return np.repeat(mask.any(axis=2, keepdims=True), count, axis=2)
+
+
+def _count_5x5(mask: Mask) -> NDArray[np.uint8]:
+    """How many of the 25 values around are set, in each channel."""
+    total = mask.astype(np.uint8)
+    for axis in (0, 1):
+        size = total.shape[axis]
+        padded = np.pad(total, [(2, 2) if i == axis else (0, 0) for i in range(3)])
+        total = np.zeros(mask.shape, np.uint8)
+        for shift in range(5):
+            part = [slice(None)] * 3
+            part[axis] = slice(shift, shift + size)
+            total += padded[tuple(part)]
+    return total
 
 
 def _broken(layer: Layer, image: FloatImage, counts: dict[str, Any]) -> Mask:
