@@ -227,7 +227,14 @@ def _write_new(
         attributes["spp"] = first.spp
     if len(views) > 1:
         attributes["multiView"] = views
-    return write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
+    return write_new(
+        path,
+        planes,
+        half=half,
+        attributes=attributes,
+        overwrite=overwrite,
+        windows=first.windows,
+    )
 
 
 # -------------------------------------------------------------------- images
