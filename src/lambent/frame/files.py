@@ -230,7 +230,14 @@ def _write_new(
         attributes["spp"] = first.spp
     if len(views) > 1:
         attributes["multiView"] = views
-    notes = write_new(path, planes, half=half, attributes=attributes, overwrite=overwrite)
+    notes = write_new(
+        path,
+        planes,
+        half=half,
+        attributes=attributes,
+        overwrite=overwrite,
+        windows=first.windows,
+    )
     facts = first.origin.payload if first.origin else None
     lost = facts.metadata.lost_in("exr") if isinstance(facts, Facts) else None
     return notes if lost is None else (*notes, lost)

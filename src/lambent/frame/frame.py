@@ -16,6 +16,7 @@ from lambent.frame.role import INFO, Role, Stat, parse_role
 
 if TYPE_CHECKING:
     from lambent.frame.origin import Origin
+    from lambent.frame.windows import Windows
 
 Key = tuple[Role, Stat]
 
@@ -29,7 +30,8 @@ class Frame:
 
     ``layers``: one layer for each (role, statistic). ``extras``: other layers by name (lighting
     layers, ids, anything). ``spp``: samples per pixel if known. ``view``: name of the stereo view,
-    or "". ``notes``: remarks made while reading and repairing, one sentence each.
+    or "". ``notes``: remarks made while reading and repairing, one sentence each. ``windows``: where
+    the pixels lie in the picture, or None for a whole one.
     All layers have the same height and width.
     """
 
@@ -40,6 +42,7 @@ class Frame:
     dialect: str = ""
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
+    windows: Windows | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", MappingProxyType(dict(self.layers)))
@@ -211,7 +214,9 @@ class Frame:
 
             return dataclasses.replace(layer, pixels=pixels, _decoded=[])
 
+        windows = self.windows
         return self.replace(
+            windows=windows and windows.cropped(top, bottom, left, right),
             layers={k: cut(v) for k, v in self.layers.items()},
             extras={k: cut(v) for k, v in self.extras.items()},
         )

@@ -23,8 +23,8 @@ from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat, parse_role
 from lambent.frame.sequence import has_place, put_number
 from lambent.frame.tonemap import srgb
+from lambent.frame.windows import Window, Windows, size_of
 
-Window = tuple[int, int, int, int]
 #: Reads all views of a file: path and choices of layers to frames.
 Reader = Callable[[Path, Mapping[str, str]], Mapping[str, Frame]]
 
@@ -236,15 +236,14 @@ def _cut(frame: Frame, other: Frame, layer: Layer, path: Path) -> tuple[slice, s
 
 
 def _windows(frame: Frame, layer: Layer | None = None) -> tuple[Window, Window]:
-    """Data and display window ``(x0, y0, x1, y1)``; of a picture without, its size twice."""
-    payload = frame.origin.payload if frame.origin else None
-    window, exr = getattr(payload, "window", None), getattr(payload, "exr", None)
-    if window is not None and exr is not None:
-        return tuple(window), tuple(exr.parts[0].display_window)
+    """Data and display window; of a picture without, its size twice."""
+    if frame.windows is not None:
+        return frame.windows.data, frame.windows.display
     height, width = (frame.height, frame.width) if layer is None else layer.data.shape[:2]
-    return (0, 0, width - 1, height - 1), (0, 0, width - 1, height - 1)
+    whole = Windows.of_size(width, height)
+    return whole.data, whole.display
 
 
 def _shown(window: Window) -> str:
-    width, height = window[2] - window[0] + 1, window[3] - window[1] + 1
+    width, height = size_of(window)
     return f"{width}x{height} at ({window[0]}, {window[1]})"

@@ -25,6 +25,7 @@ from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Stat
+from lambent.frame.windows import Windows
 from lambent.render.channels import Group
 from lambent.render.moments import Moments
 
@@ -158,9 +159,12 @@ def pass_seed(seed: int, first: int) -> int:
 # --------------------------------------------------------------- the checkpoint
 
 
-def save(path: str | Path, moments: Moments, stamp: Stamp) -> Frame:
-    """Write the picture so far, in one step, over an older one. Returns its frame."""
-    frame = moments.frame()
+def save(path: str | Path, moments: Moments, stamp: Stamp, windows: Windows | None = None) -> Frame:
+    """Write the picture so far, in one step, over an older one. Returns its frame.
+
+    ``windows``: where its pixels lie in the whole picture.
+    """
+    frame = moments.frame(windows=windows)
     counts = [("samples", moments.count), ("half_samples", moments.half_count)]
     if moments.dropped:  # else all pixels have the same, which spp tells
         for name, image in counts:

@@ -22,6 +22,7 @@ import mitsuba as mi
 from lambent.frame.exr.new import planes_of
 from lambent.frame.frame import Frame
 from lambent.render.sampling import FrameSampler
+from lambent.render.scene import film_windows
 
 NAME = "lambent_frames"
 
@@ -70,7 +71,9 @@ class LambentFrames(mi.SamplingIntegrator):  # type: ignore[misc]
             rr_depth=self.rr_depth,
             integrator=self.nested,
         )
-        return sampler.sample(spp or sensor.sampler().sample_count(), int(seed)).frame()
+        return sampler.sample(spp or sensor.sampler().sample_count(), int(seed)).frame(
+            windows=film_windows(sensor)
+        )
 
     def render(
         self,

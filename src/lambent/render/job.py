@@ -37,7 +37,14 @@ from lambent.render.accumulate import (
 )
 from lambent.render.animation import Animation, Keyframes, Stage, disoccluded, read_keyframes
 from lambent.render.moments import Moments
-from lambent.render.scene import LoadedScene, complaint, film_size, integrator_name, load
+from lambent.render.scene import (
+    LoadedScene,
+    complaint,
+    film_size,
+    film_windows,
+    integrator_name,
+    load,
+)
 
 if TYPE_CHECKING:
     from lambent.render.sampling import FrameSampler
@@ -229,17 +236,18 @@ class _Job:
                 f"{', '.join(sampler.left_out)} left out."
             )
         stamp = self._stamp(sampler, number)
+        windows = film_windows(self.loaded.sensor)
         start = self._start(path, stamp, sampler)
         began = start.spp if start else 0
         goal = self._goal(began)
         if start is not None and goal.spp is not None and began >= goal.spp:
             self.say(f"{path}: has {began} spp already; give more with --spp, or +N.")
-            frame = read(path) if path is not None else start.frame()
+            frame = read(path) if path is not None else start.frame(windows=windows)
             return Rendered(frame, path, number, began, skipped=True)
 
         def keep(moments: Moments) -> None:
             if path is not None:
-                save(path, moments, stamp)
+                save(path, moments, stamp, windows)
                 if self.written:
                     self.written(path, moments)
 
@@ -263,10 +271,9 @@ class _Job:
                 f"{moments.dropped} samples had a radiance that is not finite (a BSDF or texture "
                 "returns NaN); they were left out."
             )
-        frame = moments.frame()
         if path is None:
-            return Rendered(_flagged(frame, before), None, number, began)
-        frame = _flagged(save(path, moments, stamp), before)
+            return Rendered(_flagged(moments.frame(windows=windows), before), None, number, began)
+        frame = _flagged(save(path, moments, stamp, windows), before)
         if before is not None:
             write(path, frame, overwrite=True, attributes={ATTRIBUTE: stamp.text()})
         if self.written:

@@ -25,6 +25,7 @@ from lambent.errors import (
     UnknownNameError,
     stop_by_interrupt,
 )
+from lambent.frame.windows import Windows
 from lambent.render.plugins import check as check_plugins
 from lambent.render.plugins import names_in
 from lambent.render.variant import mitsuba
@@ -62,7 +63,8 @@ def load(
 ) -> LoadedScene:
     """A scene from an XML file, a Mitsuba dictionary, or a scene object.
 
-    ``size``: width and height instead of the film's. ``camera``: number or id of the sensor.
+    ``size``: width and height of the whole picture instead of the film's, whose crop window is then
+    left out, with a note. ``camera``: number or id of the sensor.
     ``parameters``: values for the scene's ``$names``. Raises `FileError` (missing scene, mesh or
     texture), `DamagedFileError` (no such plug-in, broken XML), `OptionError` (no camera, no light),
     `UnknownNameError` (no such camera).
@@ -94,9 +96,17 @@ def load(
             remedy='add a light, for example <emitter type="constant"/>',
         )
     sensor = _chosen_sensor(scene, camera, where)
+    notes = _notes(scene, sensor)
     if size is not None:
+        windows = film_windows(sensor)
+        if windows.data != windows.display:
+            notes = (
+                *notes,
+                f"The film's crop window, {windows}, was left out: the size {size[0]}x{size[1]} "
+                "is that of the whole picture (without --size the crop is rendered).",
+            )
         _resize(mi, sensor, size)
-    return LoadedScene(scene, sensor, digest[:16], path, *_depths(scene), _notes(scene, sensor))
+    return LoadedScene(scene, sensor, digest[:16], path, *_depths(scene), notes)
 
 
 def build(
@@ -132,6 +142,14 @@ def build(
     finally:
         mi.set_file_resolver(before)
     return built[0] if isinstance(built, list) else built
+
+
+def film_windows(sensor: Any) -> Windows:
+    """Where the crop window of a sensor's film lies in its picture."""
+    film = sensor.film()
+    (x, y), (width, height) = film.crop_offset(), film.crop_size()
+    box = int(x), int(y), int(x + width) - 1, int(y + height) - 1
+    return Windows(box, Windows.of_size(*(int(side) for side in film.size())).display)
 
 
 def film_size(sensor: Any) -> tuple[int, int]:

@@ -18,7 +18,7 @@ from lambent.archive import check_card, read_archive
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
-from lambent.render.scene import LoadedScene
+from lambent.render.scene import LoadedScene, film_windows
 
 Progress = Callable[[float, float, str], None]
 #: Samples a pixel of views that are without noise, and of those that gather.
@@ -190,8 +190,8 @@ def picture(
     count = spp or (GATHER_SPP if integrator.show == "gather" else SMOOTH_SPP)
     integrator.prepare(loaded.scene)
     sampler = FrameSampler(loaded.scene, loaded.sensor, features=features, integrator=integrator)
-    frame = sampler.sample(count, seed).frame()
-    told = [note for note in loaded.notes if "have changed since" in note]
+    frame = sampler.sample(count, seed).frame(windows=film_windows(loaded.sensor))
+    told = [n for n in loaded.notes if "have changed since" in n or "crop window" in n]
     return frame.replace(notes=(*frame.notes, *told))
 
 

@@ -3,6 +3,7 @@
 ``python blend_files.py KIND FILE``, where KIND is ``moving`` (a textured ball that slides by
 `STEP` a frame before a textured wall, and a camera that travels), ``still`` (a room corner with a
 lamp, a ball of glass, one of metal, a light group; clamping, motion blur and adaptive sampling on),
+``region`` (the same with a render region that is cropped to),
 ``no-camera``, or ``two-cameras`` (neither is active). A name ending in ``.packed.blend`` is packed.
 """
 
@@ -100,6 +101,11 @@ def main() -> None:
         scene.cycles.use_adaptive_sampling = True
         scene.cycles.sample_clamp_indirect = 10.0
         scene.render.use_motion_blur = True
+    if kind == "region":
+        render = scene.render
+        render.use_border = render.use_crop_to_border = True
+        render.border_min_x, render.border_max_x = 0.25, 0.75  # columns 24 to 71 of 96
+        render.border_min_y, render.border_max_y = 0.25, 0.5  # rows 32 to 47 of 64 from above
     bpy.ops.wm.save_as_mainfile(filepath=path, compress=path.endswith(".packed.blend"))
 
 

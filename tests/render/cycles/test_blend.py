@@ -20,6 +20,7 @@ from lambent.errors import (
     UnknownNameError,
 )
 from lambent.frame.role import Role, Space, Stat
+from lambent.frame.windows import Windows
 from lambent.render.cycles import render_blend
 from lambent.render.cycles.blend import render_blend_frames
 
@@ -250,3 +251,24 @@ def test_killed_lambent_leaves_no_blender(blend, tmp_path: Path) -> None:
     assert not Path(f"/proc/{int(pid)}").exists()
     assert not Path(scratch.decode()).exists()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_render_region_lies_in_the_whole_picture(blend, process, tmp_path) -> None:
+    """It is written with its place; a size that leaves it out is told."""
+    out = tmp_path / "region.exr"
+    frame = render_blend(blend("region"), output=out, spp=64, halves=True, process=process)
+    assert frame.windows == Windows((24, 32, 71, 47), (0, 0, 95, 63))
+    assert lambent.read(out).windows == frame.windows
+    assert not any("region" in note for note in frame.notes)
+    whole = render_blend(blend("still"), spp=64, size=(96, 64), process=process)
+    cut = whole.crop(32, 48, 24, 72)
+    assert cut.windows == frame.windows
+    apart = {
+        (y, x): np.abs(frame[Role.ALBEDO] - whole[Role.ALBEDO][32 + y : 48 + y, 24 + x : 72 + x])
+        for y in (-1, 0, 1)
+        for x in (-1, 0, 1)
+    }
+    assert min(apart, key=lambda shift: float(apart[shift].mean())) == (0, 0)
+    sized = render_blend(blend("region"), spp=2, halves=True, size=(48, 32), process=process)
+    assert (sized.width, sized.height) == (48, 32)
+    assert any("render region was left out" in note for note in sized.notes)

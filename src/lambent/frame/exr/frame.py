@@ -26,11 +26,11 @@ from lambent.frame.layer import FloatImage, Layer, Source
 from lambent.frame.luma import enlarge, from_rgb, to_rgb, weights
 from lambent.frame.origin import Origin
 from lambent.frame.role import Role, Stat, parse_role
+from lambent.frame.windows import Window, Windows
 
 if TYPE_CHECKING:
     from lambent.frame.dialects import Found, Identified
 
-Window = tuple[int, int, int, int]
 #: Roles that hardly anybody looks at: decoded in a pass of their own.
 _SELDOM = (Role.ID, Role.OTHER)
 _LUMA = ("Y", "RY", "BY")
@@ -110,6 +110,7 @@ def frame_of(
         dialect=identified.dialect,
         origin=origin,
         notes=tuple(notes),
+        windows=Windows(window, exr.parts[0].display_window),
     )
 
 

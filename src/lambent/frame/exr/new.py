@@ -27,6 +27,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.magic import EXR_MAGIC
 from lambent.frame.role import Role, Stat
+from lambent.frame.windows import Windows
 
 _COLOURS = ("R", "G", "B", "A")
 _AXES = ("X", "Y", "Z", "W")
@@ -77,13 +78,15 @@ def write_new(
     half: bool = False,
     attributes: Mapping[str, int | str | list[str]] | None = None,
     overwrite: bool = False,
+    windows: Windows | None = None,
 ) -> tuple[str, ...]:
     """Write channels ``(H, W)`` of one size as a new EXR, float32 or half, atomically.
 
-    ``attributes``: header values beside the required ones. Returns what was clamped, in sentences.
+    ``attributes``: header values beside the required ones. ``windows``: where the pixels lie in the
+    picture (None: they are all of it). Returns what was clamped, in sentences.
     Raises `LayerError` for sizes that differ or names the format cannot hold, `OutputError`.
     """
-    part = _part(path, planes, DTYPES[1] if half else DTYPES[2], attributes or {})
+    part = _part(path, planes, DTYPES[1] if half else DTYPES[2], attributes or {}, windows)
     with atomic(path, overwrite) as out:
         long_names = max(len(c.raw) for c in part.channels) > 31
         start = EXR_MAGIC + struct.pack("<I", 2 | (0x400 if long_names else 0)) + part.raw
@@ -117,6 +120,7 @@ def _part(
     planes: Mapping[str, NDArray[Any]],
     dtype: np.dtype[Any],
     attributes: Mapping[str, int | str | list[str]],
+    windows: Windows | None,
 ) -> PartHeader:
     sizes = {plane.shape for plane in planes.values()}
     if len(sizes) != 1:
@@ -134,13 +138,18 @@ def _part(
     )
     kind = 1 if dtype == np.float16 else 2
     listed = b"".join(c.raw + struct.pack("<xiB3xii", kind, 0, 1, 1) for c in channels) + b"\0"
-    window = (0, 0, width - 1, height - 1)
-    box = struct.pack("<4i", *window)
+    windows = windows or Windows.of_size(width, height)
+    if windows.size != (width, height):
+        raise LayerError(
+            f"the layers are {width}x{height}, the frame's data window is {windows}",
+            file=path,
+            remedy="give the frame the windows of these pixels: frame.replace(windows=None)",
+        )
     entries = [
         (b"channels", b"chlist", listed),
         (b"compression", b"compression", bytes([ZIP])),
-        (b"dataWindow", b"box2i", box),
-        (b"displayWindow", b"box2i", box),
+        (b"dataWindow", b"box2i", struct.pack("<4i", *windows.data)),
+        (b"displayWindow", b"box2i", struct.pack("<4i", *windows.display)),
         (b"lineOrder", b"lineOrder", b"\0"),
         (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
         (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
@@ -152,7 +161,7 @@ def _part(
         name + b"\0" + kind_name + b"\0" + struct.pack("<i", len(value)) + value
         for name, kind_name, value in entries
     )
-    return PartHeader(0, raw + b"\0", (), channels, ZIP, window, window, None)
+    return PartHeader(0, raw + b"\0", (), channels, ZIP, windows.data, windows.display, None)
 
 
 def _attribute(name: str, value: int | str | list[str]) -> tuple[bytes, bytes, bytes]:

@@ -23,6 +23,7 @@ from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
 from lambent.frame.atomic import atomic, check_target
 from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
+from lambent.frame.windows import Windows
 from lambent.render.cycles.frames import joined, with_lobes
 from lambent.render.cycles.process import BlenderProcess, Refusal, Report
 
@@ -220,11 +221,23 @@ def _frame(
         made = with_lobes(read(target, spp=spp[0]))
     else:
         made = joined([with_lobes(_loaded(f, n)) for f, n in zip(files, spp, strict=True)])
+        made = _placed(made, facts["region"])
         if target is not None:
             write(target, made, overwrite=overwrite)
     for file in files:
         file.unlink()
     return made.noted(*notes)
+
+
+def _placed(frame: Frame, region: list[int] | None) -> Frame:
+    """With the windows of a render region (see ``inside.settings``): Blender writes none."""
+    windows = Windows.of_size(frame.width, frame.height)
+    if region is None or frame.windows not in (None, windows):
+        return frame
+    left, below, width, height = region
+    top = height - below - frame.height
+    box = left, top, left + frame.width - 1, top + frame.height - 1
+    return frame.replace(windows=Windows(box, Windows.of_size(width, height).display))
 
 
 def _loaded(path: Path, spp: int) -> Frame:

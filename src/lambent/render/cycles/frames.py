@@ -134,6 +134,7 @@ def joined(blocks: Sequence[Frame], halves: bool = True) -> Frame:
         "view": first.view,
         "dialect": first.dialect,
         "notes": first.notes,
+        "windows": first.windows,
     }
     return Frame.from_layers(layers, **fields)
 

@@ -66,7 +66,7 @@ def choose_device(scene: Any, wish: str) -> str:
 
 
 def apply_settings(scene: Any, order: dict[str, Any]) -> dict[str, Any]:
-    """Everything but samples and seed, from the order's keys; notes in sentences.
+    """Everything but samples and seed, from the order's keys. Notes in sentences, and the region.
 
     Keys: ``camera`` (name), ``size`` ``[width, height]``, ``window`` ``[left, top, right, bottom]``
     in shares of the picture, ``depth``, ``time`` (seconds a picture), ``passes`` (``all``,
@@ -76,7 +76,7 @@ def apply_settings(scene: Any, order: dict[str, Any]) -> dict[str, Any]:
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     _camera(scene, order.get("camera"))
-    _size(render, order)
+    notes += _size(render, order)
     cycles.use_denoising = False
     if cycles.use_adaptive_sampling:
         cycles.use_adaptive_sampling = False
@@ -103,7 +103,7 @@ def apply_settings(scene: Any, order: dict[str, Any]) -> dict[str, Any]:
     render.use_file_extension = False
     notes += _layers(scene, order)
     _output(render, order.get("codec", "NONE"))
-    return {"notes": notes}
+    return {"notes": notes, "region": _region(render)}
 
 
 def _camera(scene: Any, name: str | None) -> None:
@@ -121,9 +121,15 @@ def _camera(scene: Any, name: str | None) -> None:
             )
 
 
-def _size(render: Any, order: dict[str, Any]) -> None:
-    """The picture's size; with a window, the size of what is cut out of it."""
+def _size(render: Any, order: dict[str, Any]) -> list[str]:
+    """The picture's size; with a window, the size of what is cut out of it. Notes."""
+    notes = []
     if order.get("size"):
+        if render.use_border and not order.get("window"):
+            notes.append(
+                "The file's render region was left out: the size is that of the whole picture "
+                "(without --size the region is rendered)."
+            )
         width, height = order["size"]
         window = order.get("window")
         if window:
@@ -143,6 +149,17 @@ def _size(render: Any, order: dict[str, Any]) -> None:
         render.use_border = render.use_crop_to_border = bool(window)
         render.resolution_x, render.resolution_y = int(width), int(height)
         render.resolution_percentage = 100
+    return notes
+
+
+def _region(render: Any) -> list[int] | None:
+    """Of a render region that is cropped to: its first column and its first row from below, and
+    the size of the whole picture; else None."""
+    if not (render.use_border and render.use_crop_to_border):
+        return None
+    share = render.resolution_percentage / 100
+    width, height = int(render.resolution_x * share), int(render.resolution_y * share)
+    return [int(render.border_min_x * width), int(render.border_min_y * height), width, height]
 
 
 def _layers(scene: Any, order: dict[str, Any]) -> list[str]:
