@@ -105,7 +105,7 @@ def test_the_plug_in_and_views_of_solutions_have_the_windows(scene):
 
 def test_pixels_of_another_size_are_not_written_into_a_window(tmp_path):
     frame = Frame.from_arrays(colour=np.ones((4, 5, 3))).replace(windows=WINDOWS)
-    with pytest.raises(LayerError, match="5x4.*10x6"):
+    with pytest.raises(LayerError, match=r"5x4.*10x6"):
         lambent.write(tmp_path / "wrong.exr", frame)
     assert not (tmp_path / "wrong.exr").exists()
 

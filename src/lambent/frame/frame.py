@@ -30,8 +30,8 @@ class Frame:
 
     ``layers``: one layer for each (role, statistic). ``extras``: other layers by name (lighting
     layers, ids, anything). ``spp``: samples per pixel if known. ``view``: name of the stereo view,
-    or "". ``notes``: remarks made while reading and repairing, one sentence each. ``windows``: where
-    the pixels lie in the picture, or None for a whole one.
+    or "". ``notes``: remarks made while reading and repairing, one sentence each. ``windows``:
+    where the pixels lie in the picture, or None for a whole one.
     All layers have the same height and width.
     """
 
