@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lambent
+from lambent.denoise import coverage
 from lambent.denoise.coverage import box_count, exact, noisy_coverage
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
@@ -226,7 +227,7 @@ def test_rows_are_looked_at_in_pieces(monkeypatch) -> None:
     alpha = sampled(np.full((90, 40), 0.4), 8)
     alpha[:30] = 1
     whole = noisy_coverage(frame_of(alpha))
-    monkeypatch.setattr("lambent.denoise.coverage.ROWS", 17)
+    monkeypatch.setattr(coverage, "ROWS", 17)
     np.testing.assert_array_equal(noisy_coverage(frame_of(alpha)), whole)
 
 

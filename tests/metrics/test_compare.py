@@ -13,6 +13,7 @@ from lambent.errors import LayerError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.compare import compare, number
+from lambent.metrics.metric import METRICS
 from lambent.metrics.relmse import relmse, relmse_map
 from lambent.metrics.smape import smape, smape_map
 
@@ -185,3 +186,22 @@ def test_real_frames_of_the_shared_sequence(shared_data):
     table = compare(reference, {"noisy": folder / "noisy_03.exr"}, ["relmse", "relmse-trimmed"])
     values = table["noisy"].values
     assert 0.01 < values["relmse-trimmed"] < values["relmse"] < 100
+
+
+def test_metrics_are_named_singly_by_family_or_in_one_text(images):
+    r, noisy = images["reference"], {"noisy": images["noisy"]}
+    everything = compare(r, noisy).metrics
+    assert everything == tuple(METRICS)
+    assert compare(r, noisy, "flip").metrics == ("flip-ldr", "flip-hdr")
+    assert compare(r, noisy, "RMSE, flip_ldr,flip").metrics == ("rmse", "flip-ldr", "flip-hdr")
+    assert compare(r, noisy, ["relmse"]).metrics == ("relmse",)  # not relmse-trimmed, too
+    for name in METRICS:
+        table = compare(r, noisy, [name])
+        assert table.metrics == (name,)
+        assert math.isfinite(table["noisy"].values[name])
+    for wrong in ("flipp", ["relmse", "flip-"], "lpips"):
+        with pytest.raises(UnknownNameError) as raised:
+            compare(r, noisy, wrong)
+        assert all(name in raised.value.remedy for name in METRICS)
+    with pytest.raises(OptionError, match="no metric is named"):
+        compare(r, noisy, " ,")

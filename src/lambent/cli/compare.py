@@ -35,7 +35,7 @@ def compare(
         typer.Option(
             "--metrics",
             metavar="NAME,...",
-            help="Only these metrics.",
+            help="Only these metrics; flip is both FLIPs.",
             autocompletion=complete_metrics,
         ),
     ] = None,
@@ -50,15 +50,16 @@ def compare(
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.metrics.compare import compare as measure
+    from lambent.metrics.metric import chosen
 
-    names = None if metrics is None else [m.strip() for m in metrics.split(",") if m.strip()]
+    chosen(metrics)  # a wrong name before files are read
     _check_inputs([reference, *images])
     check_output(report, overwrite, [reference, *images])
     with Progress("comparing", quiet=as_json) as progress:
         comparison = measure(
             reference,
             _named(images),
-            names,
+            metrics,
             progress=lambda text, done, total: progress.report(done, total, text),
         )
         if report is not None:

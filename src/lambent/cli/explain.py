@@ -34,7 +34,11 @@ def explain(
     frame: Annotated[Path, typer.Argument(metavar="FRAME", help="A noisy frame.")],
     pixel: Annotated[
         str,
-        typer.Option("--pixel", metavar="X,Y", help="The pixel: column,row from the upper left."),
+        typer.Option(
+            "--pixel",
+            metavar="X,Y",
+            help="The pixel: column,row from 0,0 at the upper left of the data window.",
+        ),
     ],
     model: ModelOption = "cross-bilateral",
     setting: SetOption = None,
@@ -64,8 +68,9 @@ def explain(
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.filters.denoiser import create
-    from lambent.filters.explain import classical_for, side_by_side
+    from lambent.filters.explain import check_picture, classical_for, side_by_side
     from lambent.filters.explain import explain as find_weights
+    from lambent.frame.atomic import atomic
     from lambent.frame.files import read
     from lambent.frame.repair import repair
 
@@ -76,12 +81,14 @@ def explain(
     ]
     for name in others:
         create(name)
+    if output is not None:
+        check_picture(output)
     check_output(output, overwrite, [frame, *([] if reference is None else [reference])])
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
         noisy, mended = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))
         repairs = mended.written(()).sentences()
-        truth = None if reference is None else read(reference).colour
+        truth = None if reference is None else read(reference)
         progress.report(0, 1, f"weights of {model}")
         found = find_weights(noisy, denoiser, x, y, reference=truth)
         if beside is None and denoiser.card():
@@ -91,7 +98,6 @@ def explain(
             progress.report(1 + number, 1 + len(others), f"weights of {name}")
             there.append(find_weights(noisy, name, x, y, reference=truth))
         if output is not None:
-            from lambent.frame.atomic import atomic
             from lambent.frame.tonemap import png_of
 
             picture = png_of(side_by_side([found, *there])) if there else found.png()

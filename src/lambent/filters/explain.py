@@ -18,6 +18,7 @@ or of the logarithm of specular light: of these no bias of the picture follows, 
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,8 +135,8 @@ class Explanation:
         return png_of(self.picture())
 
     def save(self, path: str | Path) -> Path:
-        """Write the picture as a PNG. Raises `OutputError`."""
-        path = Path(path)
+        """Write the picture as a PNG. Raises `OutputError`, for another ending, too."""
+        path = check_picture(path)
         try:
             path.write_bytes(self.png())
         except OSError as error:
@@ -154,18 +155,23 @@ class Explanation:
 def explain(
     frame: Frame,
     model: str | Denoiser,
-    x: int,
-    y: int,
+    x: int | None = None,
+    y: int | None = None,
     *,
-    reference: NDArray[Any] | None = None,
+    pixel: tuple[int, int] | None = None,
+    reference: Frame | NDArray[Any] | None = None,
     **params: Any,
 ) -> Explanation:
-    """The weights that a linear denoiser gives the pixels around (x, y).
+    """The weights that a linear denoiser gives the pixels around a pixel.
 
-    ``model``: a name (with ``params``) or a denoiser. ``reference`` ``(H, W, 3)``: the converged
-    image, if there is one, for the bias. Raises `OptionError` for a pixel outside the frame, or a
-    model whose result is no weighted mean (OIDN), `LayerError` where the frame lacks a layer.
+    ``pixel``: column and row ``(x, y)``, or ``x`` and ``y`` by themselves: of the pixels that there
+    are, from 0, 0 at the upper left of the data window, as in arrays; in a crop these are not the
+    coordinates of the whole picture. ``model``: a name (with ``params``) or a denoiser.
+    ``reference``: the converged image ``(H, W, 3)`` of the same pixels, if there is one, for the
+    bias. Raises `OptionError` for a pixel outside the frame, or a model whose result is no weighted
+    mean (OIDN), `LayerError` where the frame lacks a layer or the reference has other pixels.
     """
+    x, y = _one_pixel(x, y, pixel)
     denoiser = create(model, **params) if isinstance(model, str) else model
     name = denoiser.about.name
     if not denoiser.about.linear and getattr(denoiser, "weights_at", None) is None:
@@ -178,8 +184,10 @@ def explain(
         raise OptionError(
             f"pixel {x},{y} lies outside the frame",
             file=frame.path,
-            remedy=f"the frame is {frame.width}x{frame.height}; pixels count from 0,0 (top left)",
+            remedy=f"the frame has {frame.width}x{frame.height} pixels; they count from 0,0 at the "
+            "upper left of its data window",
         )
+    expected_all = None if reference is None else _reference(reference, frame)
     denoiser.check(frame)
     fitted = denoiser.fitted(frame)
     margin = fitted.margin()
@@ -190,8 +198,8 @@ def explain(
     exact = weights.astype(np.float64)
     bias: tuple[float, float, float] | None = None
     if denoiser.about.linear:
-        if reference is not None:
-            expected = np.asarray(reference, np.float32)[inside][:, :, :3]
+        if expected_all is not None:
+            expected = expected_all[inside]
         else:
             expected = _denoised(frame, fitted, left, top, width, height, margin)
         own = expected[y - top, x - left]
@@ -215,6 +223,18 @@ def explain(
         bias_from="reference" if reference is not None else "denoised",
         exposure=auto_exposure(frame.colour),
     )
+
+
+def check_picture(path: str | Path) -> Path:
+    """The path of a picture of weights. Raises `OutputError` unless its ending says PNG."""
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise OutputError(
+            f"weights are drawn as a PNG, not as '{path.suffix or path.name}'",
+            file=path,
+            remedy="end the name in .png; the weights themselves are in --json",
+        )
+    return path
 
 
 #: Classical filters whose weights stand beside those of a learned one, from the plainest on.
@@ -277,6 +297,42 @@ def heat(weights: NDArray[Any], most: float | None = None) -> NDArray[np.uint8]:
 
 
 # ------------------------------------------------------------------ private
+
+
+def _one_pixel(x: Any, y: Any, pixel: Any) -> tuple[int, int]:
+    """Column and row, whichever way they were given. Raises `OptionError`."""
+    given = (x, y) if pixel is None else pixel
+    if pixel is None or (x is None and y is None):
+        try:
+            column, row = (operator.index(value) for value in given)
+            return column, row
+        except (TypeError, ValueError):
+            pass
+    raise OptionError(
+        "explain needs one pixel, by its column and row" + (f", not {pixel!r}" if pixel else ""),
+        remedy="give pixel=(120, 80), or x=120, y=80",
+    )
+
+
+def _reference(reference: Frame | NDArray[Any], frame: Frame) -> FloatImage:
+    """The colour of the reference ``(H, W, 3)``. Raises `LayerError` for other pixels."""
+    path, windows = None, None
+    if isinstance(reference, Frame):
+        path, windows, reference = reference.path, reference.windows, reference.colour
+    image = np.asarray(reference, np.float32)
+    if image.ndim != 3 or image.shape[:2] != (frame.height, frame.width) or image.shape[2] < 3:
+        raise LayerError(
+            f"the reference has shape {image.shape}, the frame ({frame.height}, {frame.width}, 3)",
+            file=path,
+            remedy="give the same picture: render or crop both alike",
+        )
+    if windows and frame.windows and windows.data != frame.windows.data:
+        raise LayerError(
+            f"the reference is {windows}, the frame {frame.windows}: other pixels",
+            file=path,
+            remedy="render or crop both alike",
+        )
+    return image[:, :, :3]
 
 
 def _window(found: Explanation, image: NDArray[np.uint8], half: int) -> NDArray[np.uint8]:

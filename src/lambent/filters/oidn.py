@@ -19,9 +19,9 @@ What Lambent adds around it:
 - *Grey stays grey.* A colour with three equal channels goes in as one channel; given three, OIDN
   tints it.
 - *Coverage.* Alpha is filtered as radiance of one channel with the same guides, at a fixed
-  exposure, and held to [0, 1]. As a display-referred image, which it resembles, noise of few samples would
-  stay: OIDN takes an image of 0 and 1 for a clean one (error at 1, 4, 16, 64 samples of a smooth
-  cover: 0.53, 0.15, 0.026, 0.010; as radiance: 0.042, 0.021, 0.012, 0.009).
+  exposure, and held to [0, 1]. As a display-referred image, which it resembles, noise of few
+  samples would stay: OIDN takes an image of 0 and 1 for a clean one (error at 1, 4, 16, 64
+  samples of a smooth cover: 0.53, 0.15, 0.026, 0.010; as radiance: 0.042, 0.021, 0.012, 0.009).
 - *Tiles that agree.* OIDN exposes each image by itself. `OIDN.fitted` takes the exposure from the
   whole frame (`lambent.kernels.oidn.exposure`). With tiles that begin at multiples of 16 and the
   margin that OIDN's own tiling uses (96 pixels; 112 for quality high with clean guides), tiled

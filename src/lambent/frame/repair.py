@@ -350,7 +350,7 @@ def _negative_together(layers: Iterable[Layer], beauty: Callable[[], float]) -> 
         if not INFO[layer.role].radiance or layer.stat is not Stat.MEAN or image.size == 0:
             continue
         with np.errstate(invalid="ignore"):
-            if not np.nanmin(image, initial=0.0) < 0:
+            if not (image < 0).any():
                 continue
             floor = -NEGATIVE_SHARE * max(_median(image), beauty())
             negative = (image < floor) & (image >= -HUGE)

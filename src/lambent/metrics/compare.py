@@ -20,7 +20,8 @@ import numpy as np
 from lambent.errors import LayerError, OptionError
 from lambent.frame.frame import Frame
 from lambent.frame.tonemap import auto_exposure
-from lambent.metrics.metric import METRICS, Metric
+from lambent.metrics.align import Cut, aligned
+from lambent.metrics.metric import METRICS, Metric, chosen
 from lambent.metrics.pair import FloatArray, Pair, as_rgb
 from lambent.metrics.picture import Picture
 
@@ -48,7 +49,8 @@ class Comparison:
 
     ``reference`` is None where there was none; then ``rows`` hold no values. ``exposure`` is the
     factor from radiance to display. ``uncounted``: pixels of the reference that are not finite,
-    left out of every mean.
+    left out of every mean. ``where``: the note on which part was compared, where images have pixels
+    at other places; ``pictures`` are cut to it.
     """
 
     pictures: tuple[Picture, ...]
@@ -57,6 +59,7 @@ class Comparison:
     metrics: tuple[str, ...]
     exposure: float
     uncounted: int = 0
+    where: str = ""
     _pairs: Mapping[str, Pair] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
@@ -118,7 +121,7 @@ class Comparison:
 
     def notes(self) -> tuple[str, ...]:
         """Everything a reader should know: notes of the files, pixels that were not finite."""
-        found = []
+        found = [self.where] if self.where else []
         pictures = self.pictures if self.reference is None else (self.reference, *self.pictures)
         for picture in pictures:
             found += [f"{picture.name}: {note}" for note in picture.notes]
@@ -178,7 +181,7 @@ class Comparison:
 def compare(
     reference: Thing | None,
     images: Mapping[str, Thing] | Iterable[Any] | Thing,
-    metrics: Iterable[str] | None = None,
+    metrics: str | Iterable[str] | None = None,
     exposure: float | None = None,
     *,
     reference_variance: Any = None,
@@ -190,10 +193,12 @@ def compare(
     ``reference``: a path, a `Frame` or an array ``(H, W, 3)`` of linear radiance; or None, then
     nothing is measured and maps show the change from the first image. ``images``: the same by
     name, one image alone, or an iterable of paths (named by their stems). ``metrics``: names from
-    `METRICS` (default: all). ``exposure``: the factor before the tone map (default: the reference's
-    automatic one). ``reference_variance``: see `lambent.metrics.relmse`. ``details``: by name of
-    image (or "reference"), facts to show beside it, such as ``{"model": "oidn", "seconds": 0.9}``.
-    Raises `LayerError` naming both images and sizes where sizes differ, `UnknownNameError` for an
+    `METRICS` or of families of them, ``"relmse,flip"`` say (default: all). ``exposure``: the factor
+    before the tone map (default: the reference's automatic one). ``reference_variance``: see
+    `lambent.metrics.relmse`. ``details``: by name of image (or "reference"), facts to show beside
+    it, such as ``{"model": "oidn", "seconds": 0.9}``.
+    Images are compared where all have pixels, by their data windows (`lambent.metrics.align`).
+    Raises `LayerError` naming both images where sizes or places differ, `UnknownNameError` for an
     unknown metric, and what `lambent.frame.files.read` raises.
 
     >>> table = compare("reference.exr", {"noisy": "noisy.exr", "clean": clean})  # doctest: +SKIP
@@ -203,11 +208,16 @@ def compare(
     if not named:
         raise OptionError("there is nothing to compare", remedy="give at least one image")
     more = details or {}
-    kinds: list[Metric] = [METRICS[name] for name in (METRICS if metrics is None else metrics)]
+    kinds = chosen(metrics)
     truth = None
     if reference is not None:
         truth = _picture("reference", reference, more.get("reference", {}))
     pictures = tuple(_picture(name, thing, more.get(name, {})) for name, thing in named.items())
+    every, cuts, where = aligned(pictures if truth is None else (truth, *pictures))
+    if truth is not None:
+        truth = every[0]
+        reference_variance = _cut(reference_variance, cuts[0], truth)
+    pictures = tuple(every if truth is None else every[1:])
     base = pictures[0] if truth is None else truth
     factor = auto_exposure(base.image) if exposure is None else float(exposure)
     if not (math.isfinite(factor) and factor > 0):
@@ -238,6 +248,7 @@ def compare(
         metrics=tuple(kind.name for kind in kinds),
         exposure=factor,
         uncounted=uncounted,
+        where=where,
         _pairs=pairs,
     )
 
@@ -288,12 +299,20 @@ def _picture(name: str, thing: Thing, details: Mapping[str, Any]) -> Picture:
         thing = read(thing)
     if isinstance(thing, Frame):
         image = as_rgb(thing.colour, thing.path or f"image '{name}'")
-        return Picture(name, image, thing.path or path, thing.spp, dict(details), thing.notes)
+        path = thing.path or path
+        return Picture(name, image, path, thing.spp, dict(details), thing.notes, thing.windows)
     try:
         image = as_rgb(thing, f"image '{name}'")
     except (TypeError, ValueError) as error:
         raise LayerError(f"cannot be taken as an image: {error}", file=f"image '{name}'") from error
     return Picture(name, image, path, None, dict(details))
+
+
+def _cut(variance: Any, cut: Cut, truth: Picture) -> Any:
+    """The variance of the whole reference, cut as it was; another is left for `Pair` to check."""
+    if variance is None or np.shape(variance)[:2] == truth.image.shape[:2]:
+        return variance
+    return np.asarray(variance)[cut]
 
 
 def _described(picture: Picture) -> dict[str, Any]:

@@ -8,10 +8,11 @@ error in each pixel. Other people's packages join through the entry-point group
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from lambent.errors import OptionError
 from lambent.metrics.pair import FloatArray, Pair
 from lambent.registry import Registry
 
@@ -60,3 +61,24 @@ METRICS = Registry(
     },
     group="lambent.metrics",
 )
+
+
+def chosen(metrics: str | Iterable[str] | None) -> list[Metric]:
+    """The metrics that a wish names, each once: None for all, names, or one text with commas.
+
+    ``flip`` stands for all metrics whose names begin with ``flip-``, and so on; capital letters
+    and underscores do not matter. Raises `UnknownNameError` that lists what there is.
+    """
+    if metrics is None:
+        return [METRICS[name] for name in METRICS]
+    found: dict[str, Metric] = {}
+    for wish in metrics.split(",") if isinstance(metrics, str) else metrics:
+        name = wish.strip() if wish.strip() in METRICS else wish.strip().lower().replace("_", "-")
+        if not name and isinstance(metrics, str):
+            continue
+        family = [] if name in METRICS else [n for n in METRICS if n.startswith(f"{name}-")]
+        for one in family or [name]:
+            found[one] = METRICS[one]
+    if not found and isinstance(metrics, str):
+        raise OptionError("no metric is named", remedy=f"take some of {', '.join(METRICS)}")
+    return list(found.values())

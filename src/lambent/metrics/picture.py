@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lambent.frame.tonemap import luminance
+from lambent.frame.windows import Windows
 from lambent.metrics.pair import FloatArray
 
 
@@ -18,6 +19,7 @@ class Picture:
 
     ``image``: ``(H, W, 3)`` float32 linear radiance, as read (NaN and all). ``details``: what is
     known beside the pixels ("model", "seconds", …), for tables. ``notes``: remarks of the reader.
+    ``windows``: where the pixels lie in the whole picture, None where nobody tells.
     """
 
     name: str
@@ -26,6 +28,7 @@ class Picture:
     spp: int | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    windows: Windows | None = None
 
     @property
     def label(self) -> str:
