@@ -5,20 +5,28 @@ Python, the exception comes out as something else: Dr.Jit makes a `RuntimeError`
 while it records a loop, a module that is being imported an `ImportError` without a cause, and what
 is raised in a destructor is printed and forgotten. So while `watched` lasts, that a signal came is
 remembered beside the exception (`came`).
+
+A module whose import is cut short stays half-made, or its lock is kept for ever. So a signal that
+comes during an import waits until that is over, for `PATIENCE` seconds at most.
 """
 
 from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
+#: How long a signal waits for an import, and how often it looks, in seconds.
+PATIENCE, LOOK = 10.0, 0.02
+
 #: Watches that are open, one inside the other; whether a signal came since the first was opened.
 _open = 0
 _came = False
+_alarm_set = False
 
 
 def came() -> bool:
@@ -61,9 +69,46 @@ def watched() -> Iterator[None]:
 
 
 def _remembering(handler: Any) -> Any:
+    waits_since = 0.0
+
     def handle(number: int, frame: FrameType | None) -> None:
         global _came
+        nonlocal waits_since
         _came = True
+        if _imports(frame):
+            waits_since = waits_since or time.monotonic()
+            if time.monotonic() - waits_since < PATIENCE and _again_soon(number):
+                return
+        waits_since = 0.0
         handler(number, frame)
 
     return handle
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether the main thread is inside an import."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _again_soon(number: int) -> bool:
+    """Send this process the signal again after a moment, by the alarm, if nobody else uses that."""
+    global _alarm_set
+    if _alarm_set:
+        return True
+    if not hasattr(signal, "setitimer") or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL:
+        return False
+
+    def ring(_: int, frame: FrameType | None) -> None:
+        global _alarm_set
+        _alarm_set = False
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.raise_signal(number)
+
+    _alarm_set = True
+    signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, LOOK)
+    return True

@@ -1,7 +1,8 @@
 """The command line: one file a command; parsing, progress, exit codes. No algorithm lives here.
 
-Reading order: `main` below, `app` (the table of commands, loaded only when asked for), `options`
-(types and completions that several commands share), `progress`, then the commands.
+Reading order: `main` below, `process` (signals, start and end), `app` (the table of commands, loaded
+only when asked for), `options` (types and completions that several commands share), `progress`,
+then the commands.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line ``lambent …``; return the exit code.
 
     0 success; 1 to 5 as in `lambent.errors`; 4 for a wrong option; 130 after Ctrl-C.
-    ``LAMBENT_DEBUG=1`` lets exceptions through with their traceback.
+    ``LAMBENT_DEBUG=1`` lets exceptions through with their traceback. Without ``argv``, the whole
+    process is this command line's: its signals are handled, and it may end here (`process`).
     """
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))
@@ -32,13 +34,15 @@ def _run(args: list[str]) -> int:
 
         print(f"lambent {__version__}")
         return 0
-    if args[:1] == ["denoise"] and "--help" not in args and "--dry-run" not in args:
-        from lambent.cli.warmup import start
+    if argv is not None:
+        from lambent.cli.app import run
 
-        start(args)
-    from lambent.cli.app import run
-
-    return run(args)
+        return run(args)
+    try:
+        from lambent.cli.process import run_process
+    except KeyboardInterrupt:
+        os._exit(130)
+    return run_process(args)
 
 
 def _flush() -> None:

@@ -6,23 +6,27 @@ when that command runs. Typer's own dressing with rich costs 0.1 s at every star
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import importlib
 import os
-import signal
 import sys
 import typing
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from lambent.errors import EngineError, LambentError, OptionError, by_interrupt
-from lambent.interrupts import watched
+from lambent.cli.process import say_interrupted
+from lambent.errors import (
+    DamagedFileError,
+    EngineError,
+    LambentError,
+    OptionError,
+    by_interrupt,
+)
+from lambent.interrupts import came, watched
 
 #: Command -> what `lambent --help` says of it. The module is ``lambent.cli.<command>``.
 COMMANDS = {
@@ -86,7 +90,6 @@ class LazyCommands(TyperGroup):
 def run(args: Sequence[str]) -> int:
     """Run one command line; print what goes wrong; return the exit code."""
     as_json = "--json" in args
-    signal.signal(signal.SIGTERM, _terminate)
     with watched():
         return _run(args, as_json)
 
@@ -111,26 +114,29 @@ def _run(args: Sequence[str], as_json: bool) -> int:
     try:
         # Without a word, the help: what a newcomer types first.
         code = group().main(list(args) or ["--help"], prog_name="lambent", standalone_mode=False)
-        if code == 130:
-            _say_interrupted()
+        if code == 130 or came():  # it may have come where nobody can raise: in a destructor
+            say_interrupted()
+            return 130
         return code if isinstance(code, int) else 0
     except LambentError as error:
-        if isinstance(error, EngineError) and by_interrupt(error):
-            _say_interrupted()  # an engine that was being imported is not broken
-            return 130
-        if _debugging():
-            raise
-        _print_error(error, as_json)
-        return error.exit_code
+        interrupted = by_interrupt(error)
+        # an engine that was being imported is not broken, pixels that were being decoded neither
+        if not (interrupted and isinstance(error, (EngineError, DamagedFileError))):
+            if _debugging():
+                raise
+            _print_error(error, as_json)
+        if interrupted:
+            say_interrupted()
+        return 130 if interrupted else error.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        _say_interrupted()
+        say_interrupted()
         return 130
     except SystemExit as leaving:
         # Typer turns a closed pipe (`lambent … | head`) into this; the reader has seen enough.
         return 0 if isinstance(leaving.__context__, BrokenPipeError) else _code_of(leaving)
     except Exception as error:
         if by_interrupt(error):
-            _say_interrupted()
+            say_interrupted()
             return 130
         if _debugging():
             raise
@@ -221,16 +227,6 @@ def _as_dict(error: LambentError) -> dict[str, Any]:
         "remedy": error.remedy,
         "exit_code": error.exit_code,
     }
-
-
-def _say_interrupted() -> None:
-    with contextlib.suppress(OSError):
-        print("interrupted: nothing half-written is left behind", file=sys.stderr)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """SIGTERM unwinds like Ctrl-C, so that temporary files are removed."""
-    raise KeyboardInterrupt
 
 
 def _debugging() -> bool:

@@ -2,6 +2,9 @@
 
 Loading a compiled library is mostly reading and relocating, during which Python runs on; so the
 engine is ready by the time the file is decoded. Errors are left to the real import, which reports.
+
+Nothing waits for the thread at the end: `lambent.cli.process` ends a process that has one without
+taking Python apart under it.
 """
 
 from __future__ import annotations
@@ -9,9 +12,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import threading
-from collections.abc import Sequence
-
-_FOR_ALL = ("numpy", "OpenEXR", "lambent.frame.files")
+from collections.abc import Callable, Sequence
+from functools import partial
 
 
 def start(args: Sequence[str]) -> threading.Thread:
@@ -22,14 +24,9 @@ def start(args: Sequence[str]) -> threading.Thread:
             model = args[index + 1]
         elif arg.startswith("--model="):
             model = arg.partition("=")[2]
-    model = model or _default()
-    modules = [*_FOR_ALL]
-    if model.startswith("oidn"):
-        modules.insert(1, "mitsuba_oidn")
-    if model.startswith("lambent"):
-        modules.insert(1, "openvino")
-    learned = model if model.startswith("lambent") else ""
-    thread = threading.Thread(target=_import, args=(modules, learned), name="warmup", daemon=True)
+    thread = threading.Thread(
+        target=_run, args=(_steps(model or _default()),), name="warmup", daemon=True
+    )
     thread.start()
     return thread
 
@@ -40,10 +37,33 @@ def _default() -> str:
     return DEFAULT_MODEL
 
 
-def _import(modules: Sequence[str], learned: str) -> None:
-    for name in modules:
-        with contextlib.suppress(Exception):
-            importlib.import_module(name)
+def _steps(model: str) -> list[Callable[[], object]]:
+    """What to do for a model, in the order in which it is needed, the slow first."""
+    learned = model.startswith("lambent")
+    steps: list[Callable[[], object]] = [partial(importlib.import_module, "numpy")]
+    if model.startswith("oidn"):
+        steps.append(partial(importlib.import_module, "mitsuba_oidn"))
     if learned:
+        steps.append(_openvino)
+    steps += [partial(importlib.import_module, name) for name in ("OpenEXR", "lambent.frame.files")]
+    if learned:
+        steps.append(partial(_prefetch, model))
+    return steps
+
+
+def _openvino() -> None:
+    from lambent.denoise.openvino import openvino
+
+    openvino()
+
+
+def _prefetch(model: str) -> None:
+    from lambent.denoise.learned import prefetch
+
+    prefetch(model)
+
+
+def _run(steps: Sequence[Callable[[], object]]) -> None:
+    for step in steps:
         with contextlib.suppress(Exception):
-            importlib.import_module("lambent.denoise.learned").prefetch(learned)
+            step()

@@ -9,6 +9,7 @@ worker that is free, and Ray starts another in its place.
 from __future__ import annotations
 
 import importlib
+import os
 import queue
 import socket
 import threading
@@ -65,6 +66,7 @@ def on_cluster(
 
 
 def _connected(address: str) -> Any:
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster begun here reports to nobody
     try:
         ray = importlib.import_module("ray")
     except ImportError as error:

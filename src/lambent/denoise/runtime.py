@@ -1,4 +1,4 @@
-"""The inference engine for learned denoisers: the only place that imports OpenVINO.
+"""The inference engine for learned denoisers: OpenVINO.
 
 `network` compiles a model for this machine and keeps it for the process; of the papers' networks,
 which take frames of any size, what OpenVINO compiles is cached on disk (``$LAMBENT_CACHE`` or
@@ -15,6 +15,7 @@ import functools
 import os
 import threading
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from lambent.denoise.foreign import check_graph
 from lambent.denoise.model_file import ModelFile
+from lambent.denoise.openvino import openvino
 from lambent.denoise.prepare import packed_memory
 from lambent.denoise.views import two_views
 from lambent.errors import DamagedFileError, EngineError
@@ -55,7 +57,7 @@ class Inference:
 def probe() -> Inference | None:
     """Ask OpenVINO what it can do here; None where it is not installed or does not load."""
     try:
-        import openvino as ov
+        ov = openvino()
     except ImportError:
         return None
     core = ov.Core()
@@ -94,8 +96,7 @@ class Network:
 
         Only within ``with network:``.
         """
-        import openvino as ov
-
+        ov = openvino()
         for number, array in enumerate(planes):
             self._request.set_input_tensor(number, ov.Tensor(array, shared_memory=True))
         self._run()
@@ -106,8 +107,14 @@ class Network:
 
     def _run(self) -> None:
         self._request.start_async()
-        while not self._request.wait_for(100):  # so that Ctrl-C is heard
-            pass
+        try:
+            while not self._request.wait_for(100):  # so that Ctrl-C is heard
+                pass
+        except BaseException:  # it writes to memory that may be let go after this
+            self._request.cancel()
+            with suppress(RuntimeError):  # which says that it was cancelled
+                self._request.wait()
+            raise
 
 
 class PyramidNetwork(Network):
@@ -155,8 +162,7 @@ class PyramidNetwork(Network):
 
         Only within ``with network:``; the arrays are written again by the next call.
         """
-        import openvino as ov
-
+        ov = openvino()
         height, width = packed.shape[2:]
         shapes = [(count, height // part, width // part) for count, part in OUTPUTS]
         if [a.shape for a in self._logits] != shapes:
@@ -255,9 +261,8 @@ def _with_short_input(graph: Any) -> float | None:
 
     A quarter of the memory, and a pass over it less. None where the input is not rounded.
     """
-    from openvino import Type
-    from openvino import opset13 as op
-
+    ov = openvino()
+    op = ov.opset13
     (old,) = graph.get_parameters()
     rounding = [target.get_node() for target in old.output(0).get_target_inputs()]
     if [node.get_type_name() for node in rounding] != ["FakeQuantize"]:
@@ -266,7 +271,7 @@ def _with_short_input(graph: Any) -> float | None:
     step = high / 127
     if rounding[0].get_attributes()["levels"] != 256 or abs(low + 128 * step) > 1e-3 * step:
         return None
-    new = op.parameter(old.get_partial_shape(), Type.i8, "packed")
+    new = op.parameter(old.get_partial_shape(), ov.Type.i8, "packed")
     values = op.multiply(op.convert(new, "f32"), np.float32(step))
     for target in rounding[0].output(0).get_target_inputs():
         target.replace_source_output(values.output(0))
@@ -278,20 +283,16 @@ def _with_short_input(graph: Any) -> float | None:
 
 def _with_short_outputs(graph: Any) -> Any:
     """The graph with bfloat16 outputs."""
-    from openvino import Type
-    from openvino.preprocess import PrePostProcessor
-
-    ends = PrePostProcessor(graph)
+    ov = openvino()
+    ends = ov.preprocess.PrePostProcessor(graph)
     for number in range(len(graph.outputs)):
-        ends.output(number).tensor().set_element_type(Type.bf16)
+        ends.output(number).tensor().set_element_type(ov.Type.bf16)
     return ends.build()
 
 
 @functools.lru_cache(maxsize=1)
 def _core() -> Any:
-    import openvino as ov
-
-    core = ov.Core()
+    core = openvino().Core()
     folder = cache_folder() / "compiled"
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -319,9 +319,13 @@ class _Line:
         self.results: list[Result] = []
         self.failures: list[tuple[Job, LambentError]] = []
         self._jobs, self._settings, self._on_done = jobs, settings, on_done
-        self._alive = threading.Semaphore(ALIVE)
-        self._read: queue.Queue[tuple[Job, Loaded | BaseException] | None] = queue.Queue()
-        self._write: queue.Queue[tuple[Job, Processed] | None] = queue.Queue()
+        # Simple queues: Ctrl-C may come in the middle of all others, with their lock held for ever.
+        self._alive: queue.SimpleQueue[None] = queue.SimpleQueue()  # a place for a frame each
+        for _ in range(ALIVE):
+            self._alive.put(None)
+        self._read: queue.SimpleQueue[tuple[Job, Loaded | BaseException] | None]
+        self._read = queue.SimpleQueue()
+        self._write: queue.SimpleQueue[tuple[Job, Processed] | None] = queue.SimpleQueue()
         self._stopped = threading.Event()
         self._crash: BaseException | None = None
         self._reader = threading.Thread(target=self._run_reader, name="reader", daemon=True)
@@ -351,7 +355,7 @@ class _Line:
 
     def fail(self, job: Job, error: LambentError) -> None:
         self.failures.append((job, error))
-        self._alive.release()
+        self._alive.put(None)
 
     def finish(self) -> None:
         self._write.put(None)
@@ -360,15 +364,19 @@ class _Line:
             raise self._crash
 
     def stop(self) -> None:
-        """Give up: read no more, let the frame that is being written be completed."""
+        """Give up: let the frames that are being read and written be completed, and no more.
+
+        Both threads have ended then: one in the midst of a library would crash a script that ends.
+        """
         self._stopped.set()
-        self._alive.release()
+        self._alive.put(None)
         self._write.put(None)
         self._writer.join()
+        self._reader.join()
 
     def _run_reader(self) -> None:
         for job in self._jobs:
-            self._alive.acquire()
+            self._alive.get()
             if self._stopped.is_set():
                 break
             try:
@@ -394,7 +402,7 @@ class _Line:
             except BaseException as error:  # re-raised in the filtering thread
                 self._crash = error
             finally:
-                self._alive.release()
+                self._alive.put(None)
                 del item, processed
 
 

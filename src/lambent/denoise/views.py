@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from lambent.denoise.inputs import CHANNELS, PLANES
+from lambent.denoise.openvino import openvino
 from lambent.kernels.pyramid import COARSE, OWN
 
 #: Outputs of the heads: sub-pixels of the finest level, and logits in order.
@@ -31,9 +32,8 @@ _FINE = 4
 
 def two_views(graph: Any, again: Any) -> Any:
     """One graph out of two of the same model file, the second turned by half."""
-    import openvino as ov
-    from openvino import opset13 as op
-
+    ov = openvino()
+    op = ov.opset13
     for node in again.get_ordered_ops():
         if node.get_type_name() == "Convolution" and not _is_head(node):
             _turn(op, node)

@@ -24,6 +24,7 @@ from torch import nn
 
 from lambent.denoise.inputs import CHANNELS
 from lambent.denoise.model_file import find_model, read_model, write_model
+from lambent.denoise.openvino import openvino, silent
 from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.loop import Run
@@ -47,7 +48,7 @@ def export(
     ``inputs``: a tensor like each input. Raises `OutputError`.
     """
     # NNCF and the converter talk to standard output, which holds results alone
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+    with silent(), contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         network, weights = _converted(model, examples, half, inputs)
     int8 = examples is not None or isinstance(model, RoundedNet)
@@ -61,8 +62,7 @@ def _converted(
     inputs: Sequence[torch.Tensor],
 ) -> tuple[bytes, bytes]:
     """The network and its weights as OpenVINO writes them."""
-    import openvino as ov
-
+    ov = openvino()
     model = model.eval().to("cpu")
     graph = ov.convert_model(model, example_input=tuple(inputs))
     free = {i: [1, like.shape[1], -1, -1] for i, like in enumerate(inputs)}
@@ -151,8 +151,7 @@ def float_weights(model: str, steps: bool = False) -> dict[str, torch.Tensor]:
     With ``steps``, those of its activations too, as `networks.rounded` names them. Raises
     `FileError`.
     """
-    import openvino as ov
-
+    ov = openvino()
     file = read_model(find_model(model))
     graph = ov.Core().read_model(file.network, file.weights)
     found: dict[str, torch.Tensor] = {}
