@@ -28,7 +28,7 @@ DENOISE = [*LAMBENT, "denoise"]
 @pytest.fixture(scope="module")
 def _busy() -> Iterator[None]:
     """Other programs that want all processors."""
-    code = "import os\nwhile os.getppid() == %d: sum(range(100000))" % os.getpid()
+    code = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
     others = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(os.cpu_count() or 1)]
     yield
     for other in others:

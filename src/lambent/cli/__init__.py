@@ -1,8 +1,8 @@
 """The command line: one file a command; parsing, progress, exit codes. No algorithm lives here.
 
-Reading order: `main` below, `process` (signals, start and end), `app` (the table of commands, loaded
-only when asked for), `options` (types and completions that several commands share), `progress`,
-then the commands.
+Reading order: `main` below, `process` (signals, start and end), `app` (the table of commands,
+loaded only when asked for), `options` (types and completions that several commands share),
+`progress`, then the commands.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     process is this command line's: its signals are handled, and it may end here (`process`).
     """
     try:
-        return _run(list(sys.argv[1:] if argv is None else argv))
+        return _run(list(sys.argv[1:] if argv is None else argv), argv is None)
     except BrokenPipeError:  # the reader has seen enough
         return 0
     finally:
         _flush()
 
 
-def _run(args: list[str]) -> int:
+def _run(args: list[str], alone: bool) -> int:
+    """``alone``: the process is this command line's."""
     if args in (["--version"], ["-V"]):  # the fastest answer: before anything is imported
         from lambent import __version__
 
         print(f"lambent {__version__}")
         return 0
-    if argv is not None:
+    if not alone:
         from lambent.cli.app import run
 
         return run(args)

@@ -6,6 +6,7 @@ when that command runs. Typer's own dressing with rich costs 0.1 s at every star
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import os
