@@ -213,6 +213,7 @@ class MitsubaScene:
                 depth=self.source.recipe.depth,
                 rr_depth=self.source.recipe.rr_depth,
                 motion=motion,
+                file=f"the scene '{self.about['kind']}' of seed {self.about['seed']}",
             )
 
     def _pose(self, frame: float) -> Pose:

@@ -36,15 +36,9 @@ from lambent.render.accumulate import (
     stamp_of,
 )
 from lambent.render.animation import Animation, Keyframes, Stage, disoccluded, read_keyframes
+from lambent.render.complaint import complaint
 from lambent.render.moments import Moments
-from lambent.render.scene import (
-    LoadedScene,
-    complaint,
-    film_size,
-    film_windows,
-    integrator_name,
-    load,
-)
+from lambent.render.scene import LoadedScene, film_size, film_windows, integrator_name, load
 
 if TYPE_CHECKING:
     from lambent.render.sampling import FrameSampler
@@ -229,6 +223,7 @@ class _Job:
             integrator=self.integrator,
             light_groups=self.light_groups,
             motion=motion,
+            file=self.loaded.path,
         )
         if sampler.left_out and number in (None, 0):
             self.say(

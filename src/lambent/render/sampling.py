@@ -25,6 +25,7 @@ from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
 from lambent.render.books import Books, PathOptions
 from lambent.render.channels import COLOUR, MOTION, PREVIOUS_DEPTH, Group, chosen, light_group
+from lambent.render.complaint import explaining
 from lambent.render.lights import group_table
 from lambent.render.moments import Moments
 from lambent.render.motion import Motion, pixel_motion
@@ -70,7 +71,7 @@ class FrameSampler:
     ``depth``, ``rr_depth``: as of Mitsuba's ``path``; depth -1 is endless. ``integrator``: one of
     Mitsuba's, whose ``sample`` gives the radiance in place of our paths; then light is not split.
     ``light_groups``: name -> patterns of emitter ids. ``motion``: the previous camera and
-    positions, for motion vectors.
+    positions, for motion vectors. ``file``: the scene's, for errors.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class FrameSampler:
         integrator: Any = None,
         light_groups: Mapping[str, Iterable[str]] | None = None,
         motion: Motion | None = None,
+        file: object = None,
     ) -> None:
         if depth == 0 or depth < -1 or rr_depth < 1:
             raise OptionError(
@@ -91,7 +93,7 @@ class FrameSampler:
                 f"not {depth} and {rr_depth}",
                 remedy="take --depth 8",
             )
-        self.scene = scene
+        self.scene, self.file = scene, file or "the scene"
         self.sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
         self.integrator = integrator
         self.motion = motion
@@ -140,7 +142,8 @@ class FrameSampler:
         """Several windows with samples of their own, in one launch of one kernel.
 
         Recording a kernel takes longer than a small picture; a launch of many shares it. What a
-        request gives does not depend on the others. Raises `OptionError`.
+        request gives does not depend on the others. Raises `OptionError`,
+        and `DamagedFileError` with Mitsuba's complaint.
         """
         for request in requests:
             if request.spp < 1:
@@ -160,7 +163,7 @@ class FrameSampler:
             sampler = mi.load_dict({"type": "independent"})
             sampler.seed(requests[0].seed & 0xFFFFFFFF, len(x))
         size = mi.Vector2f(self.sensor.film().crop_size())
-        with dr.suspend_grad():
+        with explaining(self.file), dr.suspend_grad():
             sums = self._loop(sampler, mi.Point2f(x, y), size, limit)
             dr.eval(sums)
         return self._moments(sums, [requests[k] for k in order], order)

@@ -17,15 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lambent.errors import (
-    DamagedFileError,
-    FileError,
-    LambentError,
-    OptionError,
-    UnknownNameError,
-    stop_by_interrupt,
-)
+from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
 from lambent.frame.windows import Windows
+from lambent.render.complaint import explaining
 from lambent.render.plugins import check as check_plugins
 from lambent.render.plugins import names_in
 from lambent.render.variant import mitsuba
@@ -77,13 +71,9 @@ def load(
         scene = _from_file(mi, path, parameters or {})
         digest = _digest_of_file(path, parameters or {})
     elif isinstance(source, Mapping):
-        try:
+        with explaining("the scene", "loaded"):
             check_plugins(mi, dict.fromkeys(names_in(source), ""), "the scene")
             scene = mi.load_dict(dict(source))
-        except LambentError:
-            raise
-        except Exception as error:
-            raise explained(error, "the scene") from error
         digest = hashlib.sha256(repr(sorted(source)).encode() + str(scene).encode()).hexdigest()
     else:
         scene = source
@@ -105,7 +95,8 @@ def load(
                 f"The film's crop window, {windows}, was left out: the size {size[0]}x{size[1]} "
                 "is that of the whole picture (without --size the crop is rendered).",
             )
-        _resize(mi, sensor, size)
+        with explaining(where, "given that size"):
+            _resize(mi, sensor, size)
     return LoadedScene(scene, sensor, digest[:16], path, *_depths(scene), notes)
 
 
@@ -177,57 +168,11 @@ def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
             file=path,
             remedy="Lambent renders Mitsuba's .xml and Blender's .blend",
         )
-    try:
+    with explaining(path, "loaded"):
         scene = build(mi, path, parameters)
-    except LambentError:
-        raise
-    except Exception as error:
-        raise explained(error, path) from error
     if not isinstance(scene, mi.Scene):
         raise DamagedFileError("holds no <scene>", file=path, remedy="its root must be a <scene>")
     return scene
-
-
-def explained(error: Exception, where: object) -> LambentError:
-    """Mitsuba's complaint in our form: what is missing, where, and the remedy.
-
-    Raises `KeyboardInterrupt` for one that is Ctrl-C in disguise.
-    """
-    stop_by_interrupt(error)
-    text = complaint(error)
-    lost = re.search(r'"([^"]+)"[^"]*(?:file not found|No such file|does not exist)', text)
-    if lost:
-        return FileError(
-            f"needs a file that is not there: '{lost.group(1)}' ({_place(text)})",
-            file=where,
-            remedy="put it where the scene looks for it (paths count from the scene's folder)",
-        )
-    plugin = re.search(r'[Pp]lugin "?([\w-]+)"? not found', text)
-    if plugin:
-        return DamagedFileError(
-            f"asks for the plug-in '{plugin.group(1)}', which Mitsuba does not have "
-            f"({_place(text)})",
-            file=where,
-            remedy="mend its type, or import the package that registers it first",
-        )
-    return DamagedFileError(
-        f"cannot be loaded: {text[:500]}",
-        file=where,
-        remedy="Mitsuba 3 reads scenes of version 0.4 to its own; older ones need its converter",
-    )
-
-
-def complaint(error: BaseException) -> str:
-    """What Mitsuba or Dr.Jit complains of, in one line: the first cause, without where in C++."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    text = re.sub(r"\[[\w.]+:\d+\]\s*", "", str(error))
-    return re.sub(r"\s+", " ", text).strip() or type(error).__name__
-
-
-def _place(text: str) -> str:
-    found = re.search(r"line \d+(?:, col \d+)?", text)
-    return found.group(0) if found else "in a nested file"
 
 
 def _chosen_sensor(scene: Any, camera: str | int | None, where: object) -> Any:

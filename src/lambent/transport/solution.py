@@ -18,6 +18,7 @@ from lambent.archive import check_card, read_archive
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
+from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
 
 Progress = Callable[[float, float, str], None]
@@ -188,8 +189,11 @@ def picture(
     if spp is not None and spp < 1:
         raise OptionError(f"a picture needs at least 1 sample a pixel, not {spp}")
     count = spp or (GATHER_SPP if integrator.show == "gather" else SMOOTH_SPP)
-    integrator.prepare(loaded.scene)
-    sampler = FrameSampler(loaded.scene, loaded.sensor, features=features, integrator=integrator)
+    with explaining(loaded.path or "the scene"):
+        integrator.prepare(loaded.scene)
+    sampler = FrameSampler(
+        loaded.scene, loaded.sensor, features=features, integrator=integrator, file=loaded.path
+    )
     frame = sampler.sample(count, seed).frame(windows=film_windows(loaded.sensor))
     told = [n for n in loaded.notes if "have changed since" in n or "crop window" in n]
     return frame.replace(notes=(*frame.notes, *told))

@@ -41,6 +41,7 @@ def solve(
     Ctrl-C while solving ends it; what was reached is returned (and written), ``interrupted``.
     Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.
     """
+    from lambent.render.complaint import explaining
     from lambent.render.variant import mitsuba
     from lambent.transport.scene import load_for_light
 
@@ -65,7 +66,8 @@ def solve(
     loaded = load_for_light(scene, device=device, parameters=parameters)
     chosen, run = _method(method, settings, start)
     texts = {k: str(v) for k, v in (parameters or {}).items()}
-    solution = run(loaded, chosen, start=start, progress=progress, watch=watch)
+    with explaining(loaded.path or "the scene", "solved"):
+        solution = run(loaded, chosen, start=start, progress=progress, watch=watch)
     solution = dataclasses.replace(solution, parameters=texts)
     if output is not None:
         solution.save(output, overwrite or resume)

@@ -1,0 +1,64 @@
+"""What Mitsuba complains of: its own cause, with the scene's file and a remedy."""
+
+from __future__ import annotations
+
+import pytest
+
+import lambent
+from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
+from lambent.render.complaint import complaint, explaining
+
+SCENE = """<scene version="3.0.0">
+<sensor type="perspective"><film type="hdrfilm">
+<integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+{}
+</scene>"""
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (
+            '<emitter type="constant"><spectrum name="radiance" type="blackbody">'
+            '<float name="temperature" value="5000"/></spectrum></emitter>',
+            "non-spectral",
+        ),
+        ('<shape type="sphere"><float name="radius" value="big"/></shape>', "could not parse"),
+        ('<shape type="sphere"><string name="colour" value="red"/></shape>', "colour"),
+        ('<shape type="obj"><string name="filename" value="none.obj"/></shape>', "none.obj"),
+        ('<bsdf type="bumpmap"/>', ""),
+        ("<shape", "line"),
+    ],
+)
+def test_a_scene_that_mitsuba_refuses(tmp_path, body, words):
+    path = tmp_path / "scene.xml"
+    path.write_text(SCENE.format(body))
+    with pytest.raises(FileError) as raised:
+        lambent.render(path, spp=1)
+    assert raised.value.file == str(path)
+    assert words in raised.value.message
+    assert raised.value.remedy
+
+
+def test_errors_of_ours_and_faults_in_our_code_pass(tmp_path):
+    with pytest.raises(OptionError, match="ours"), explaining("x"):
+        raise OptionError("ours")
+    with pytest.raises(TypeError), explaining("x"):
+        raise TypeError("a fault")
+    with pytest.raises(KeyboardInterrupt), explaining("x"):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise RuntimeError("while recording") from stop
+
+
+def test_the_first_cause_is_what_counts():
+    with pytest.raises(DamagedFileError, match="first cause") as raised, explaining("a.xml"):
+        try:
+            raise RuntimeError("\x1b[31m[bitmap.cpp:12] the   first cause")
+        except RuntimeError as first:
+            raise RuntimeError("a loop failed") from first
+    assert "bitmap.cpp" not in raised.value.message
+    with pytest.raises(EngineError, match="memory"), explaining("a.xml"):
+        raise RuntimeError("out of memory")
+    assert complaint(RuntimeError("")) == "RuntimeError"
