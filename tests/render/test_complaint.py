@@ -40,25 +40,27 @@ def test_a_scene_that_mitsuba_refuses(tmp_path, body, words):
     assert raised.value.remedy
 
 
-def test_errors_of_ours_and_faults_in_our_code_pass(tmp_path):
-    with pytest.raises(OptionError, match="ours"), explaining("x"):
-        raise OptionError("ours")
-    with pytest.raises(TypeError), explaining("x"):
-        raise TypeError("a fault")
-    with pytest.raises(KeyboardInterrupt), explaining("x"):
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as stop:
-            raise RuntimeError("while recording") from stop
+def raising(error, cause=None):
+    with explaining("a.xml"):
+        raise error from cause
+
+
+def test_errors_of_ours_and_faults_in_our_code_pass():
+    with pytest.raises(OptionError, match="ours"):
+        raising(OptionError("ours"))
+    with pytest.raises(TypeError):
+        raising(TypeError("a fault"))
+    with pytest.raises(OptionError, match="ours"):
+        raising(RuntimeError("while recording"), OptionError("ours"))
+    with pytest.raises(KeyboardInterrupt):
+        raising(RuntimeError("while recording"), KeyboardInterrupt())
 
 
 def test_the_first_cause_is_what_counts():
-    with pytest.raises(DamagedFileError, match="first cause") as raised, explaining("a.xml"):
-        try:
-            raise RuntimeError("\x1b[31m[bitmap.cpp:12] the   first cause")
-        except RuntimeError as first:
-            raise RuntimeError("a loop failed") from first
+    first = RuntimeError("[bitmap.cpp:12] the   first cause")
+    with pytest.raises(DamagedFileError, match="the first cause") as raised:
+        raising(RuntimeError("a loop failed"), first)
     assert "bitmap.cpp" not in raised.value.message
-    with pytest.raises(EngineError, match="memory"), explaining("a.xml"):
-        raise RuntimeError("out of memory")
+    with pytest.raises(EngineError, match="memory"):
+        raising(RuntimeError("out of memory"))
     assert complaint(RuntimeError("")) == "RuntimeError"

@@ -81,9 +81,9 @@ def explain(
     ]
     for name in others:
         create(name)
+    check_output(output, overwrite, [frame, *([] if reference is None else [reference])])
     if output is not None:
         check_picture(output)
-    check_output(output, overwrite, [frame, *([] if reference is None else [reference])])
     with Progress("explaining", quiet=as_json) as progress:
         progress.report(0, 1, "reading")
         noisy, mended = repair(read(frame, roles=pairs("--map", mapping) or None, spp=spp))
