@@ -10,6 +10,7 @@ too: ``from lambent.denoise.pipeline import Settings`` goes to the package.
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import types
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,19 @@ if TYPE_CHECKING:
     from lambent.render.job import render
     from lambent.transport.solution import open_solution
     from lambent.transport.solve import solve
+
+
+def _name_llvm() -> None:
+    """Tell Dr.Jit, which takes an LLVM as it is imported, the one that was installed with Lambent.
+
+    `lambent.startup` searches everywhere; this is the usual place, and costs nothing.
+    """
+    path = os.path.join(sys.prefix, "lib", "libLLVM.so")
+    if "drjit" not in sys.modules and os.path.exists(path):
+        os.environ.setdefault("DRJIT_LIBLLVM_PATH", path)
+
+
+_name_llvm()
 
 
 def __getattr__(name: str) -> Any:

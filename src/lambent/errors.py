@@ -13,7 +13,8 @@
     └── EngineError              5   an engine (LLVM, OIDN, a missing extra) cannot do the work
 
 A message states three facts: which file, which layer, what remedy. The library raises; only the
-command line turns an error into an exit code.
+command line turns an error into an exit code. Names in a message are shown as `lambent.escapes` has
+it, so that it can be printed anywhere.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ import difflib
 from collections.abc import Iterable
 
 from lambent import interrupts
+from lambent.escapes import escaped
 
 
 class LambentError(Exception):
     """Base of all errors raised on purpose.
 
-    ``file`` and ``layer`` say where; ``remedy`` says what to do. They are part of the message.
+    ``file`` and ``layer`` say where; ``remedy`` says what to do; ``details`` are lines that belong
+    to the message, such as the end of a log. They are all part of the text.
     """
 
     exit_code = 1
@@ -39,21 +42,23 @@ class LambentError(Exception):
         file: object = None,
         layer: str | None = None,
         remedy: str | None = None,
+        details: Iterable[str] = (),
     ) -> None:
         self.message = message
         self.file = None if file is None else str(file)
         self.layer = layer
         self.remedy = remedy
+        self.details = tuple(details)
         super().__init__(self.__str__())
 
     def __str__(self) -> str:
         where = self.file or ""
         if self.layer:
             where = f"{where}: layer '{self.layer}'" if where else f"layer '{self.layer}'"
-        text = f"{where}: {self.message}" if where else self.message
-        text = f"{text}\n  → {self.remedy}" if self.remedy else text
-        # Names in files are bytes; what is no UTF-8 there must not break the printing of a message.
-        return text.encode("utf-8", "backslashreplace").decode("utf-8")
+        lines = [f"{where}: {self.message}" if where else self.message]
+        lines += [f"  | {line}" for line in self.details]
+        lines += [f"  → {self.remedy}"] if self.remedy else []
+        return "\n".join(map(escaped, lines))
 
 
 def by_interrupt(error: BaseException) -> bool:

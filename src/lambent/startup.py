@@ -1,9 +1,11 @@
 """Finding LLVM for Dr.Jit, before Dr.Jit looks for it.
 
-Dr.Jit loads LLVM when it is first used, from ``DRJIT_LIBLLVM_PATH`` or the usual system places.
+Dr.Jit loads LLVM when it is first imported, from ``DRJIT_LIBLLVM_PATH`` or the usual system places.
 `engine` looks first at what the user set, then at the wheel ``karellen-llvm-core`` (which puts its
 library into the environment's ``lib`` folder), then leaves the search to Dr.Jit. Without any LLVM
-Lambent says so once and runs on what there is: OIDN needs none.
+Lambent says so once and runs on what there is: OIDN needs none. A script that imports Dr.Jit or
+Mitsuba before Lambent leaves the choice to Dr.Jit; an old LLVM of the system would then end the
+process in the midst of a kernel, so it is refused.
 """
 
 from __future__ import annotations
@@ -15,6 +17,9 @@ import sysconfig
 from pathlib import Path
 
 from lambent.errors import EngineError
+
+#: The oldest LLVM that our kernels are tested with. 15 aborts the process in them.
+OLDEST_LLVM = 20
 
 _LIBRARY = {"darwin": "libLLVM.dylib", "win32": "LLVM-C.dll"}.get(sys.platform, "libLLVM.so")
 
@@ -45,13 +50,30 @@ def find_llvm() -> str | None:
 
 @functools.lru_cache(maxsize=1)
 def has_llvm() -> bool:
-    """Whether Dr.Jit can compile for the processor. Imports Dr.Jit."""
+    """Whether Dr.Jit can compile for the processor. Imports Dr.Jit.
+
+    Raises `EngineError` where Dr.Jit was imported before, and has taken an LLVM that is too old.
+    """
     path = find_llvm()
+    chosen = "DRJIT_LIBLLVM_PATH" in os.environ
     if path:
         os.environ["DRJIT_LIBLLVM_PATH"] = path
     import drjit as dr
 
-    return bool(dr.has_backend(dr.JitBackend.LLVM))
+    found = bool(dr.has_backend(dr.JitBackend.LLVM))
+    if found and path and not chosen:
+        _check_version(dr.detail.llvm_version(), path)
+    return found
+
+
+def _check_version(version: tuple[int, ...], path: str) -> None:
+    if version[0] < OLDEST_LLVM:
+        raise EngineError(
+            f"Dr.Jit was imported before Lambent and has loaded LLVM {'.'.join(map(str, version))} "
+            f"of the system, which is too old ({OLDEST_LLVM} and newer are tested)",
+            remedy="import lambent before drjit and mitsuba, or set the environment variable "
+            f"DRJIT_LIBLLVM_PATH={path}",
+        )
 
 
 @functools.lru_cache(maxsize=1)

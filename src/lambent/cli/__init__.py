@@ -2,7 +2,7 @@
 
 Reading order: `main` below, `process` (signals, start and end), `app` (the table of commands,
 loaded only when asked for), `options` (types and completions that several commands share),
-`progress`, then the commands.
+`terminal` (how lines are printed), `progress`, then the commands.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def _run(args: list[str], alone: bool) -> int:
     """``alone``: the process is this command line's."""
     if args in (["--version"], ["-V"]):  # the fastest answer: before anything is imported
         from lambent import __version__
+        from lambent.cli.terminal import say
 
-        print(f"lambent {__version__}")
+        say(f"lambent {__version__}")
         return 0
     if not alone:
         from lambent.cli.app import run

@@ -6,11 +6,9 @@ when that command runs. Typer's own dressing with rich costs 0.1 s at every star
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import importlib
 import os
-import sys
 import typing
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,9 +18,11 @@ import typer
 from typer.core import TyperGroup
 
 from lambent.cli.process import say_interrupted
+from lambent.cli.terminal import remark, say
 from lambent.errors import (
     DamagedFileError,
     EngineError,
+    FileError,
     LambentError,
     OptionError,
     by_interrupt,
@@ -155,7 +155,7 @@ def _root(
     if version:
         from lambent import __version__
 
-        print(f"lambent {__version__}")
+        say(f"lambent {__version__}")
         raise typer.Exit
 
 
@@ -204,6 +204,11 @@ def _system_error(error: Exception) -> LambentError:
         from lambent.frame.opening import unreadable
 
         return unreadable(Path(os.fsdecode(error.filename)), error)
+    if isinstance(error, OSError) and error.strerror:
+        return FileError(
+            f"the system refused it: {error.strerror}",
+            remedy="check the names, their folders and the permissions",
+        )
     return LambentError(
         f"something unforeseen: {type(error).__name__}: {error}",
         remedy="LAMBENT_DEBUG=1 shows where; please report it with that output",
@@ -211,12 +216,11 @@ def _system_error(error: Exception) -> LambentError:
 
 
 def _print_error(error: LambentError, as_json: bool) -> None:
-    with contextlib.suppress(BrokenPipeError):  # nobody reads it; the exit code still tells
-        if as_json:
-            import json
+    if as_json:
+        from lambent.cli.options import print_json
 
-            print(json.dumps({"error": _as_dict(error)}, indent=2), flush=True)
-        print(f"error: {error}", file=sys.stderr)
+        print_json({"error": _as_dict(error)})
+    remark(*f"error: {error}".split("\n"))
 
 
 def _as_dict(error: LambentError) -> dict[str, Any]:
@@ -226,6 +230,7 @@ def _as_dict(error: LambentError) -> dict[str, Any]:
         "file": error.file,
         "layer": error.layer,
         "remedy": error.remedy,
+        "details": list(error.details),
         "exit_code": error.exit_code,
     }
 

@@ -13,6 +13,7 @@ import typer
 
 from lambent.cli.options import JsonOption, check_output, print_json
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import say
 
 if TYPE_CHECKING:
     from lambent.metrics.compare import Comparison
@@ -73,7 +74,7 @@ def compare(
         return
     _print_table(comparison)
     if report is not None:
-        print(f"\n{report}")
+        say("", report)
 
 
 # ------------------------------------------------------------------- private
@@ -112,6 +113,7 @@ def _print_table(comparison: Comparison) -> None:
     """Images down, metrics across; a star at the best; turned round where it does not fit."""
     import shutil
 
+    from lambent.escapes import escaped
     from lambent.metrics.compare import number
     from lambent.metrics.metric import METRICS
 
@@ -119,7 +121,7 @@ def _print_table(comparison: Comparison) -> None:
     arrows = {"lower": "↓", "higher": "↑"}
     heads = [f"{kind.title} {arrows[kind.better]}" for kind in kinds]
     best = {kind.name: comparison.best(kind.name) for kind in kinds}
-    names = [row.name for row in comparison.rows]
+    names = [escaped(row.name) for row in comparison.rows]
     cells = [
         [
             number(row.values[kind.name]) + ("*" if row.name in best[kind.name] else " ")
@@ -135,13 +137,13 @@ def _print_table(comparison: Comparison) -> None:
     reference = comparison.reference
     spp = f", {reference.spp} spp" if reference is not None and reference.spp else ""
     if reference is not None:
-        print(f"Against {reference.path} ({size}{spp}), exposure {comparison.exposure:.3g}\n")
+        say(f"Against {reference.path} ({size}{spp}), exposure {comparison.exposure:.3g}", "")
     for line in _lined_up(table):
-        print(line)
+        say(line)
     if any(best.values()):
-        print("\n* the best of these")
+        say("", "* the best of these")
     for note in comparison.notes():
-        print(f"note: {note}")
+        say(f"note: {note}")
 
 
 def _table_width(table: list[list[str]]) -> int:

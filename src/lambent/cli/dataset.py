@@ -13,6 +13,7 @@ import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress, show_seconds
+from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
     from lambent.dataset.make import Outcome
@@ -165,7 +166,7 @@ def preview(
         else:
             recipe = load_recipe(what)
             preview_recipe(recipe, output, count, spp, device, overwrite, progress.report)
-    print(output)
+    say(output)
 
 
 @dataset.command()
@@ -188,14 +189,14 @@ def verify(folder: FolderArgument, as_json: JsonOption = False) -> None:
         print_json(verdict.as_dict())
     else:
         for file, wrong in verdict.corrupt.items():
-            print(f"damaged   {file}: {wrong}")
+            say(f"damaged   {file}: {wrong}")
         for file in verdict.missing:
-            print(f"missing   {file}")
+            say(f"missing   {file}")
         for file in verdict.strangers:
-            print(f"stranger  {file}: not in the list of items")
-        print(f"{verdict.good:,} of {verdict.wanted:,} items are there and sound.")
+            say(f"stranger  {file}: not in the list of items")
+        say(f"{verdict.good:,} of {verdict.wanted:,} items are there and sound.")
         if verdict.corrupt or verdict.missing:
-            print("The same 'lambent dataset make' makes them again.")
+            say("The same 'lambent dataset make' makes them again.")
     if not verdict.sound:
         raise typer.Exit(2)
 
@@ -216,38 +217,36 @@ def parse_time(text: str) -> float:
 
 
 def _say_resume(folder: Path) -> None:
-    import sys
-
-    print(f"{folder}: the same command goes on from here", file=sys.stderr)
+    remark(f"{folder}: the same command goes on from here")
 
 
 def _print_outcome(outcome: Outcome) -> None:
     for note in outcome.notes:
-        print(f"note: {note}")
+        say(f"note: {note}")
     for failed in outcome.failed:
         numbers = ", ".join(map(str, failed.job.items))
-        print(f"failed: {failed.job.what} {numbers}: {failed.reason}")
-    print(outcome.folder)
+        say(*f"failed: {failed.job.what} {numbers}: {failed.reason}".split("\n"))
+    say(outcome.folder)
     if not outcome.made:
         left = "nothing was missing" if not outcome.left else "nothing could be made"
-        print(f"{outcome.before:,} items were there; {left}.")
+        say(f"{outcome.before:,} items were there; {left}.")
         return
     pace = outcome.made / max(outcome.seconds, 1e-9) * 3600
     size = outcome.bytes / outcome.made / 1e6
-    print(
+    say(
         f"{outcome.made:,} items made in {show_seconds(outcome.seconds)} ({pace:,.0f} an hour, "
         f"{size:.2f} MB each); {outcome.before:,} were there."
     )
     total = sum(outcome.phases.values())
     if total > 0:
         shares = sorted(outcome.phases.items(), key=lambda entry: -entry[1])
-        print("Time: " + ", ".join(f"{name} {100 * s / total:.0f} %" for name, s in shares))
+        say("Time: " + ", ".join(f"{name} {100 * s / total:.0f} %" for name, s in shares))
     if outcome.left:
-        print(f"{outcome.left:,} are still to be made: the same command goes on.")
+        say(f"{outcome.left:,} are still to be made: the same command goes on.")
 
 
 def _print_info(found: dict[str, Any]) -> None:
-    print(f"{found['name']}: {found['source']}, seed {found['seed']}, in {found['folder']}\n")
+    say(f"{found['name']}: {found['source']}, seed {found['seed']}, in {found['folder']}", "")
     rows = [("", "made", "wanted", "MB each", "s each", "target spp", "target relMSE")]
     for what in ("crops", "clips"):
         kind = found[what]
@@ -265,8 +264,8 @@ def _print_info(found: dict[str, Any]) -> None:
         )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
-        print("  ".join(t.rjust(w) for t, w in zip(row, widths, strict=True)).rstrip())
-    print(f"\n{found['bytes'] / 1e9:.2f} GB, {found['scenes']:,} scenes")
-    print("kinds:    " + ", ".join(f"{k or 'one'} {n:,}" for k, n in found["kinds"].items()))
-    print("spp:      " + ", ".join(f"{k}: {n:,}" for k, n in found["spp"].items()))
-    print("licences: " + ("; ".join(found["licences"]) or "none stated"))
+        say("  ".join(t.rjust(w) for t, w in zip(row, widths, strict=True)).rstrip())
+    say("", f"{found['bytes'] / 1e9:.2f} GB, {found['scenes']:,} scenes")
+    say("kinds:    " + ", ".join(f"{k or 'one'} {n:,}" for k, n in found["kinds"].items()))
+    say("spp:      " + ", ".join(f"{k}: {n:,}" for k, n in found["spp"].items()))
+    say("licences: " + ("; ".join(found["licences"]) or "none stated"))

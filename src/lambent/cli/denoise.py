@@ -9,9 +9,7 @@ is given again.
 
 from __future__ import annotations
 
-import contextlib
 import os
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,6 +27,8 @@ from lambent.cli.options import (
     print_json,
 )
 from lambent.cli.progress import Progress, show_seconds
+from lambent.cli.terminal import columns, remark, say, say_labelled
+from lambent.escapes import escaped
 
 if TYPE_CHECKING:
     from lambent.denoise.files import Processed, Result
@@ -202,21 +202,21 @@ def _print_result(result: Result, written: dict[str, Path]) -> None:
     size = f"{result.width}x{result.height}"
     dialect = "" if result.dialect == "generic" else result.dialect
     facts = [size, dialect, f"{result.spp} spp" if result.spp else ""]
-    print(f"{result.output}")
-    print(f"  from     {result.source} ({', '.join(f for f in facts if f)})")
+    say(f"{result.output}")
+    say(f"  from     {result.source} ({', '.join(f for f in facts if f)})")
     if result.layers:
-        print(f"  cleaned  {_listing(result.layers)} with {result.model}")
+        say(f"  cleaned  {_listing(result.layers)} with {result.model}")
     if len(result.views) > 1:
-        print(f"  views    {', '.join(result.views)}")
+        say(f"  views    {', '.join(result.views)}")
     for line in result.repairs:
-        print(f"  repaired {line}")
+        say(f"  repaired {line}")
     for line in result.notes:
-        print(f"  note     {line}")
+        say(f"  note     {line}")
     if not result.tiles.startswith("in one piece") and result.tiles:
-        print(f"  filtered {result.tiles}")
-    print(f"  took     {_timings(result)}")
+        say(f"  filtered {result.tiles}")
+    say(f"  took     {_timings(result)}")
     for kind, path in written.items():
-        print(f"  {kind:<8} {path}")
+        say(f"  {kind:<8} {path}")
 
 
 def _timings(result: Result) -> str:
@@ -237,22 +237,34 @@ def _listing(names: tuple[str, ...] | list[str], most: int = 6) -> str:
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    print(f"{plan['output']} would be written (dry run: nothing is)")
-    dialect = f" ({plan['dialect']})" if plan["dialect"] else ""
-    print(f"  from      {plan['source']}{dialect}")
-    print(f"  model     {plan['model']}, strength {plan['strength']:g}")
-    for name, view in plan["views"].items():
-        if len(plan["views"]) > 1:
-            print(f"  view      {name}")
+    """What would be done, in columns: what it is; the layer; why it is thought to be that."""
+    views, width = plan["views"], columns()
+    roles = {"filter", *(role for view in views.values() for role in view["roles"])}
+    layers = [escaped(name) for view in views.values() for name in view["roles"].values()]
+    first = max(map(len, roles)) + 4
+    second = min(max(map(len, layers)) + 2, max(16, width - first - 30))
+
+    def row(label: str, text: str) -> None:
+        say_labelled(f"  {label}", text, first, width)
+
+    say(f"{plan['output']} would be written (dry run: nothing is)")
+    dialect = plan["dialect"]
+    row("from", plan["source"] + (f" ({dialect})" if dialect not in ("", "generic") else ""))
+    row("model", f"{plan['model']}, strength {plan['strength']:g}")
+    for name, view in views.items():
+        if len(views) > 1:
+            row("view", name)
         for role, layer in view["roles"].items():
-            why = view["why"].get(layer, "")
-            print(f"  {role:<10}{layer}" + (f"  [{why}]" if why else ""))
-        print(f"  clean     {_listing(view['filtered'], 12)}")
+            cell = f"  {role:<{first - 2}}{escaped(layer)}"
+            say_labelled(cell, view["why"].get(layer, ""), first + second, width)
+        if view["filtered"]:
+            row("clean", _listing(view["filtered"], 12))
         if view["untouched"]:
-            print(f"  keep      {_listing(view['untouched'], 12)}, bit for bit")
-        print(f"  filter    {view['width']}x{view['height']} {view['tiles']}")
+            row("keep", f"{_listing(view['untouched'], 12)}, bit for bit")
+        if view["tiles"]:
+            row("filter", f"{view['width']}x{view['height']} {view['tiles']}")
         for note in view["notes"]:
-            print(f"  note      {note}")
+            row("note", note)
 
 
 # ---------------------------------------------------------------- many files
@@ -286,14 +298,14 @@ def _run_many(
         # Beside a result that is there, they are of the same command, interrupted or outdated.
         extras.check(job.output, overwrite or dry_run or os.path.exists(job.output))
     for why, paths in _by_reason(found.left_out).items():
-        _say(f"left out: {_listing([path.name for path in paths])} ({why})")
+        remark(f"left out: {_listing([path.name for path in paths])} ({why})")
     if missing:
-        _say(f"missing: {format_range(missing)} ({_count(len(missing), 'frame')} of the range)")
+        remark(f"missing: {format_range(missing)} ({_count(len(missing), 'frame')} of the range)")
     if dry_run:
         _print_many_plan(todo, finished, missing, settings, as_json)
         return 0
     if finished:
-        _say(f"{_count(len(finished), 'frame')} finished earlier, skipped")
+        remark(f"{_count(len(finished), 'frame')} finished earlier, skipped")
     sequence.make_folders(todo)
     written: dict[str, str] = {}
     told: set[str] = set()
@@ -320,12 +332,12 @@ def _run_many(
             }
         )
     for _, error in failed:
-        _say(f"error: {error}")
+        remark(*f"error: {error}".split("\n"))
     summary = [_count(len(done), "frame") + " cleaned"]
     summary += [f"{len(finished)} skipped"] if finished else []
     summary += [f"{len(missing)} missing"] if missing else []
     summary += [f"{len(failed)} failed"] if failed else []
-    _say(", ".join(summary))
+    remark(", ".join(summary))
     if failed:
         return failed[0][1].exit_code
     # Whoever names a range wants all of it: a script must see that frames were not there.
@@ -344,9 +356,7 @@ def _print_line(result: Result, told: set[str]) -> None:
     new = [line for line in result.notes if line not in told]
     told.update(new)
     remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
-    line = f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}"
-    with contextlib.suppress(BrokenPipeError):  # whoever read it has gone; the frames matter
-        print(line, flush=True)
+    say(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}")
 
 
 def _print_many_plan(
@@ -372,20 +382,15 @@ def _print_many_plan(
         )
         return
     for job in todo:
-        print(f"{job.source} → {job.output}")
-    print(f"{_count(len(todo), 'frame')} to do, {len(finished)} finished")
+        say(f"{job.source} → {job.output}")
+    say(f"{_count(len(todo), 'frame')} to do, {len(finished)} finished")
     if first is not None:
-        print("\nThe first:")
+        say("", "The first:")
         _print_plan(first)
 
 
 def _count(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("" if number == 1 else "s")
-
-
-def _say(text: str) -> None:
-    with contextlib.suppress(BrokenPipeError):
-        print(text, file=sys.stderr, flush=True)
 
 
 # ----------------------------------------------------------------- companions

@@ -9,7 +9,6 @@ import os
 import platform
 import shutil
 import sys
-import textwrap
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from lambent.cli.options import JsonOption, print_json
+from lambent.cli.terminal import columns, say, say_labelled
 from lambent.errors import stop_by_interrupt
 
 EPILOG = "Exit code 5 where something is broken; remarks alone are no failure."
@@ -106,24 +106,20 @@ def doctor(
 
 
 def _print(check: Check) -> None:
-    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
     mark = {"ok": "ok    ", "note": "note  ", "broken": "BROKEN"}[check.state]
-    lines = textwrap.wrap(check.text, max(30, width - 22), break_on_hyphens=False) or [""]
-    print(f"{mark}  {check.name:<12}  {lines[0]}", flush=True)
-    for line in lines[1:]:
-        print(" " * 22 + line)
+    say_labelled(f"{mark}  {check.name}", check.text, 22, columns())
 
 
 def _print_fixes(checks: list[Check]) -> None:
     fixes = [check for check in checks if check.remedy]
     assert all(check.remedy for check in checks if check.state != "ok")
     if not fixes:
-        print("\nAll is well.")
+        say("", "All is well.")
         return
     broken = any(check.state == "broken" for check in checks)
-    print("\nTo fix:" if broken else "\nEverything needed works. What could be better:")
+    say("", "To fix:" if broken else "Everything needed works. What could be better:")
     for check in fixes:
-        print(f"  {check.name}: {check.remedy}")
+        say(f"  {check.name}: {check.remedy}")
 
 
 def _safely(part: Callable[[], list[Check]]) -> list[Check]:

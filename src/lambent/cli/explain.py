@@ -23,6 +23,7 @@ from lambent.cli.options import (
     print_json,
 )
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import say
 
 if TYPE_CHECKING:
     from lambent.filters.explain import Explanation
@@ -110,11 +111,11 @@ def explain(
     else:
         _print(found)
         for line in repairs:
-            print(f"  repaired {line}")
+            say(f"  repaired {line}")
         if there:
             _print_beside(there)
         if output is not None:
-            print(f"\n{output}")
+            say("", output)
 
 
 # ------------------------------------------------------------------- private
@@ -137,7 +138,7 @@ def _print(found: Explanation) -> None:
     height, width = found.weights.shape
     x, y = found.pixel
     share = 100 * float((abs(found.weights) > 1e-6 * found.greatest).mean())
-    print(f"{found.model} at pixel {x},{y}\n")
+    say(f"{found.model} at pixel {x},{y}", "")
     rows = [
         ("sum of weights", f"{found.sum:.4f}", "1: neither brightens nor darkens"),
         (
@@ -158,17 +159,17 @@ def _print(found: Explanation) -> None:
         rows.append(("bias at risk", bias, f"R, G, B; {_measured_on(found)}"))
     left = max(len(value) for _, value, _ in rows) + 2
     for label, value, note in rows:
-        print(f"  {label:<16}{value:<{left}}{note}")
+        say(f"  {label:<16}{value:<{left}}{note}")
 
 
 def _print_beside(there: list[Explanation]) -> None:
     """A line for each of the others."""
     left = max(len(one.model) for one in there) + 2
-    print("\nbeside it:")
+    say("", "beside it:")
     for one in there:
         worth = f"worth {one.effective_pixels:.1f} pixels"
         bias = "" if one.bias is None else ", ".join(f"{value:+.3g}" for value in one.bias)
-        print(f"  {one.model:<{left}}{worth:<22}{bias and 'bias at risk '}{bias}".rstrip())
+        say(f"  {one.model:<{left}}{worth:<22}{bias and 'bias at risk '}{bias}".rstrip())
 
 
 def _measured_on(found: Explanation) -> str:

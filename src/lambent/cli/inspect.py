@@ -6,7 +6,6 @@ from, such as a splatted pixel filter, tone-mapped colour, or clamped half value
 
 from __future__ import annotations
 
-import shutil
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +21,8 @@ from lambent.cli.options import (
     print_json,
 )
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import columns, say
+from lambent.escapes import escaped
 
 if TYPE_CHECKING:
     from lambent.frame.inspection import Inspection, LayerReport
@@ -66,7 +67,7 @@ def inspect(
         return
     _print(found)
     if page is not None:
-        print(f"\n{page}")
+        say("", page)
 
 
 # ------------------------------------------------------------------- private
@@ -89,11 +90,11 @@ def _write_page(
 def _print(found: Inspection) -> None:
     from lambent.denoise.tiles import show_size
 
-    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    width = columns()
     facts = [f"{found.width}x{found.height}", found.format.upper(), show_size(found.size)]
     facts += [f"{found.spp} spp"] if found.spp else []
     facts += [f"views {', '.join(found.views)}"] if found.views else []
-    print(f"{found.path}: {', '.join(facts)}")
+    say(f"{found.path}: {', '.join(facts)}")
     dialect = "names of no renderer in particular" if found.dialect == "generic" else found.dialect
     _wrapped(f"  {dialect} ({found.dialect_why})", 2, width)
     for part in found.parts:
@@ -101,7 +102,7 @@ def _print(found: Inspection) -> None:
         window = "" if part.data_window == part.display_window else f" at ({x0}, {y0})"
         name = f"'{part.name}'" if part.name else "unnamed"
         kinds = "/".join(dict.fromkeys(c.type for c in part.channels))
-        print(
+        say(
             f"  part {part.index} {name}: {x1 - x0 + 1}x{y1 - y0 + 1}{window}, "
             f"{len(part.channels)} {kinds} channels, {part.type}, {part.compression}"
         )
@@ -118,20 +119,22 @@ def _print(found: Inspection) -> None:
 def _print_layers(layers: tuple[LayerReport, ...], parts: bool, views: bool, width: int) -> None:
     """One line a layer: role, name, range; trouble and the reason below it."""
     if not layers:
-        print("\nNo layers.")
+        say("", "No layers.")
         return
     ids = [layer.name for layer in layers if layer.role.value == "id"]
     layers = tuple(layer for layer in layers if layer.role.value != "id")
     roles = [
-        _role(layer) + (f" ({layer.view})" if views and layer.view else "") for layer in layers
+        _role(layer) + (f" ({escaped(layer.view)})" if views and layer.view else "")
+        for layer in layers
     ]
+    names = [escaped(layer.name) for layer in layers]
     first = max([4, *map(len, roles)]) + 2
-    second = min(max([8, *(len(layer.name) for layer in layers)]), max(16, width - first - 50)) + 2
-    print()
-    for role, layer in zip(roles, layers, strict=True):
-        name = layer.name if len(layer.name) <= second - 2 else layer.name[: second - 3] + "…"
+    second = min(max([8, *map(len, names)]), max(16, width - first - 50)) + 2
+    say()
+    for role, name, layer in zip(roles, names, layers, strict=True):
+        name = name if len(name) <= second - 2 else name[: second - 3] + "…"
         channels = " ".join(c.rpartition(".")[2] for c in layer.channels)
-        print(f"{role:<{first}}{name:<{second}}{_range(layer):<22}  {channels}".rstrip())
+        say(f"{role:<{first}}{name:<{second}}{_range(layer):<22}  {channels}".rstrip())
         trouble = [
             f"{count} {word}"
             for count, word in (
@@ -142,12 +145,12 @@ def _print_layers(layers: tuple[LayerReport, ...], parts: bool, views: bool, wid
             if count
         ]
         if trouble:
-            print(" " * first + f"! {', '.join(trouble)} values")
+            say(" " * first + f"! {', '.join(trouble)} values")
         if layer.why and layer.role.value != "other":
             _wrapped(" " * first + layer.why, first, width)
     if ids:
         _wrapped(f"{'id':<{first}}{', '.join(ids)} (never filtered)", first, width)
-    print()
+    say()
 
 
 #: Roles in which a negative value is worth a remark.
@@ -170,9 +173,9 @@ def _range(layer: LayerReport) -> str:
 
 def _wrapped(text: str, indent: int, width: int) -> None:
     lead = len(text) - len(text.lstrip())
-    print(
-        textwrap.fill(
-            text.strip(),
+    say(
+        *textwrap.wrap(
+            escaped(text.strip()),
             width,
             initial_indent=" " * lead,
             subsequent_indent=" " * indent,

@@ -5,14 +5,12 @@ With NAME, describe that one: its parameters with their defaults, for --set.
 
 from __future__ import annotations
 
-import shutil
-import sys
-import textwrap
 from typing import Annotated, Any
 
 import typer
 
 from lambent.cli.options import JsonOption, complete_models, print_json
+from lambent.cli.terminal import columns, remark, say, say_labelled
 
 EPILOG = "Other packages can bring more models: see the documentation on plug-ins."
 
@@ -37,7 +35,7 @@ def models(
         try:
             cards.append(_card(one))
         except LambentError as error:  # somebody's plug-in; the others are still worth listing
-            print(f"warning: {error}", file=sys.stderr)
+            remark(*f"warning: {error}".split("\n"))
     if as_json:
         print_json({"default": DEFAULT_MODEL, "models": cards})
     else:
@@ -85,23 +83,23 @@ def _default(value: Any) -> Any:
 
 
 def _print_table(cards: list[dict[str, Any]], default: str) -> None:
-    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
+    width = columns()
     left = max(len(card["name"]) for card in cards) + 2
     for card in cards:
         mark = " (default)" if card["name"] == default else ""
-        _entry(card["name"], f"{card['title']}{mark}. {card['when']}", left, width)
+        say_labelled(card["name"], f"{card['title']}{mark}. {card['when']}", left, width)
         needs = "needs " + ", ".join(card["needs"])
         uses = "; can use " + ", ".join(card["can_use"]) if card["can_use"] else ""
         cost = f"; {card['cost']}" if card["cost"] else ""
-        _entry("", f"{needs}{uses}{cost}", left, width)
-        _entry("", card["paper"], left, width)
-        print()
-    print("Parameters of one: lambent models NAME")
+        say_labelled("", f"{needs}{uses}{cost}".replace("|", " or "), left, width)
+        say_labelled("", card["paper"], left, width)
+        say()
+    say("Parameters of one: lambent models NAME")
 
 
 def _print_card(card: dict[str, Any]) -> None:
-    width = min(shutil.get_terminal_size((100, 24)).columns, 120)
-    print(f"{card['name']}: {card['title']}\n")
+    width = columns()
+    say(f"{card['name']}: {card['title']}", "")
     rows = [
         ("paper", card["paper"]),
         ("when", card["when"]),
@@ -119,14 +117,14 @@ def _print_card(card: dict[str, Any]) -> None:
         rows += _training(card["training"])
     for label, text in rows:
         if text:
-            _entry(f"  {label}", text, 12, width)
+            say_labelled(f"  {label}", text, 12, width)
     if card["parameters"]:
-        print("\nParameters, with their defaults (--set NAME=VALUE):")
+        say("", "Parameters, with their defaults (--set NAME=VALUE):")
         left = max(len(p["name"]) for p in card["parameters"]) + 4
         for p in card["parameters"]:
             shown = "auto" if p["default"] is None else p["default"]
-            _entry(f"  {p['name']}", f"{shown}  ({p['type']})", left, width)
-    print(f"\nUse it: lambent denoise noisy.exr --model {card['name']}")
+            say_labelled(f"  {p['name']}", f"{shown}  ({p['type']})", left, width)
+    say("", f"Use it: lambent denoise noisy.exr --model {card['name']}")
 
 
 def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
@@ -166,11 +164,3 @@ def _data_set(one: dict[str, Any]) -> str:
         return f"{one['pictures']} pictures of {one['name']}"
     licences = "; ".join(one["licences"])
     return f"{one['crops']} crops and {one['clips']} clips of {one['scenes']} scenes ({licences})"
-
-
-def _entry(label: str, text: str, left: int, width: int) -> None:
-    """A label, and its text wrapped in a column beside it."""
-    lines = textwrap.wrap(text, max(20, width - left)) or [""]
-    print(f"{label:<{left}}{lines[0]}")
-    for line in lines[1:]:
-        print(" " * left + line)

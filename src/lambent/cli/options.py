@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lambent.cli.terminal import say
 from lambent.errors import OptionError
 
 
@@ -179,7 +180,8 @@ def check_output(path: Path | None, overwrite: bool, inputs: Iterable[Path] = ()
 
 def print_json(document: Any) -> None:
     """One JSON document on stdout; what JSON does not know becomes text."""
-    print(json.dumps(document, indent=2, default=_plain, allow_nan=False))
+    text = json.dumps(document, indent=2, default=_plain, allow_nan=False)
+    say(*text.replace("\x7f", "\\u007f").split("\n"))  # the one control character left as it is
 
 
 def _plain(thing: Any) -> Any:

@@ -73,7 +73,9 @@ def _run(args: Sequence[str]) -> tuple[int, bool]:
 def say_interrupted() -> None:
     """The last line after Ctrl-C."""
     with contextlib.suppress(OSError):
-        print("interrupted: nothing half-written is left behind", file=sys.stderr)
+        from lambent.cli.terminal import remark
+
+        remark("interrupted: nothing half-written is left behind")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

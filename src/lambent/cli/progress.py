@@ -7,12 +7,14 @@ printed now and then. All of it goes to stderr, so that stdout holds results alo
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import threading
 import time
 from types import TracebackType
 from typing import Any
+
+from lambent.cli.terminal import remark
+from lambent.escapes import escaped
 
 #: Seconds during which nothing is shown.
 PATIENCE = 2.0
@@ -28,7 +30,7 @@ class Progress:
     """
 
     def __init__(self, what: str, quiet: bool = False) -> None:
-        self.what = what
+        self.what = escaped(what)
         self._quiet = quiet
         self._start = time.monotonic()
         self._state: tuple[float, float, str] = (0.0, 1.0, "")
@@ -53,9 +55,9 @@ class Progress:
 
     def report(self, done: float, total: float, text: str = "") -> None:
         """``done`` of ``total`` are finished; now at ``text``. Cheap; call as often as you like."""
-        if text != self._state[2] and done == 0:
+        if escaped(text) != self._state[2] and done == 0:
             self._begun = time.monotonic()
-        self._state = (done, total, text)
+        self._state = (done, total, escaped(text))
 
     def seconds_left(self) -> float | None:
         """Seconds to go at the pace so far; None before there is a pace."""
@@ -91,11 +93,11 @@ class Progress:
             }
 
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=24),
             TextColumn("{task.fields[share]}"),
             TextColumn("{task.fields[left]}"),
-            TextColumn("[dim]{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", style="dim", markup=False),
         )
         with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(self.what, **fields())
@@ -107,8 +109,7 @@ class Progress:
             done, total, text = self._state
             share = f"{100 * done / total:.0f} %" if done > 0 else ""
             words = ", ".join(filter(None, (text, share, self._time_text())))
-            with contextlib.suppress(BrokenPipeError):
-                print(f"{self.what}: {words}", file=sys.stderr, flush=True)
+            remark(f"{self.what}: {words}")
             if self._over.wait(LOG_EVERY):
                 return
 

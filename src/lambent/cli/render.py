@@ -9,7 +9,6 @@ is written again and again while the picture grows; after Ctrl-C it holds what w
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +16,7 @@ import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
     from lambent.render.accumulate import State
@@ -177,9 +177,9 @@ def render(
     for result in done:
         _print(result)
     for text in told:
-        print(f"  note     {text}")
+        say(f"  note     {text}")
     if page.written:
-        print(f"  report   {page.written}")
+        say(f"  report   {page.written}")
 
 
 # ------------------------------------------------------------------- private
@@ -209,7 +209,7 @@ class _Page:
         frame = state.moments.frame(halves=False)
         write_rendering(self.path, frame, self.states, left=state.left, running=True)
         if self.written is None:
-            print(f"the picture grows in {self.path}", file=sys.stderr)
+            remark(f"the picture grows in {self.path}")
         self.written = str(self.path)
 
     def finish(self, result: Rendered) -> None:
@@ -231,12 +231,12 @@ def _print(result: Rendered) -> None:
     from lambent.frame.role import Role
 
     frame = result.frame
-    print(f"{result.path}")
+    say(f"{result.path}")
     grown = f", {result.began_with} of them from before" if result.began_with else ""
-    print(f"  holds    {frame.width}x{frame.height}, {frame.spp} spp{grown}")
+    say(f"  holds    {frame.width}x{frame.height}, {frame.spp} spp{grown}")
     roles = dict.fromkeys(key[0].value for key in frame.layers)
     groups = [n for n, layer in frame.lighting().items() if layer.role is Role.LIGHTING]
-    print(f"  layers   {', '.join([*roles, *groups])}")
+    say(f"  layers   {', '.join([*roles, *groups])}")
 
 
 def _as_dict(result: Rendered) -> dict[str, Any]:

@@ -7,7 +7,6 @@ for what they are nearest to, and named. Ctrl-C keeps the solution so far; --res
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +14,7 @@ import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress, show_seconds
+from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
     from lambent.render.scene import LoadedScene
@@ -149,7 +149,7 @@ def solve(
     else:
         _print(solution, target, page)
     if solution.interrupted:
-        print(f"the light so far is kept in {target}; --resume goes on", file=sys.stderr)
+        remark(f"the light so far is kept in {target}; --resume goes on")
         raise typer.Exit(130)
 
 
@@ -214,20 +214,20 @@ def _default_name(scene: Path) -> str:
 
 
 def _print(solution: Any, target: Path, page: _Page | None) -> None:
-    print(target)
+    say(target)
     history = solution.history
     residual = history.residuals[-1] if history.residuals else float("nan")
     spent = ", ".join(f"{name} {show_seconds(s)}" for name, s in solution.seconds.items())
-    print(f"  holds    {len(solution):,} patches; {int(solution.live.sum()):,} faces see light")
-    print(f"  solved   {len(history.steps)} steps, residual {residual:.1e}; {spent}")
+    say(f"  holds    {len(solution):,} patches; {int(solution.live.sum()):,} faces see light")
+    say(f"  solved   {len(history.steps)} steps, residual {residual:.1e}; {spent}")
     if solution.error is not None:
         rays = solution.settings["rays"]
-        print(f"  error    {100 * solution.error:.1f} % of a patch's indirect light ({rays} rays)")
+        say(f"  error    {100 * solution.error:.1f} % of a patch's indirect light ({rays} rays)")
     for note in solution.notes:
-        print(f"  note     {note}")
+        say(f"  note     {note}")
     if page is not None:
-        print(f"  report   {page.path}")
-    print(f"  look     lambent view {target} -o view.png")
+        say(f"  report   {page.path}")
+    say(f"  look     lambent view {target} -o view.png")
 
 
 def _as_dict(solution: Any, target: Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, print_json
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
     from lambent.learn.loop import Run
@@ -122,7 +123,7 @@ def train(
             )  # fmt: skip
         except KeyboardInterrupt:
             place = run if run is not None else run_folder(chosen)
-            print(f"stopped; the same command goes on. The run is in {place}")
+            remark(f"stopped; the same command goes on. The run is in {place}")
             raise
     if int(os.environ.get("RANK", 0)):  # by torchrun: the first process tells
         return
@@ -133,9 +134,9 @@ def train(
         print_json({"run": str(done.folder), "best": best, "output": output and str(output)})
     else:
         words = f"best score {best['check']['score']:.4f} at step {best['step']}" if best else ""
-        print(f"{done.folder}: {words or 'not validated yet'}")
+        say(f"{done.folder}: {words or 'not validated yet'}")
         if output is not None:
-            print(f"wrote {output}")
+            say(f"wrote {output}")
 
 
 # ------------------------------------------------------------------- private
@@ -156,11 +157,9 @@ def _write_page(path: Path, run: Run, recipe: TrainRecipe, running: bool) -> Non
 
 
 def _print_finetuned(result: dict[str, float], output: Path) -> None:
-    print(
+    say(
         f"error on held-out tiles {result['before']:.4f} before, {result['after']:.4f} after "
         f"({100 * (result['after'] / result['before'] - 1):+.1f} %), "
         f"{int(result['steps'])} steps in {result['seconds']:.0f} s"
     )
-    print(
-        f"wrote {output}; use it: lambent denoise noisy.exr --model lambent --set weights={output}"
-    )
+    say(f"wrote {output}; use it: lambent denoise noisy.exr --model lambent --set weights={output}")

@@ -14,6 +14,7 @@ import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
 from lambent.cli.progress import Progress
+from lambent.cli.terminal import say
 
 if TYPE_CHECKING:
     from lambent.frame.frame import Frame
@@ -180,9 +181,9 @@ def view(
         print_json({"written": written, "show": show, "notes": told})
         return
     for name in written:
-        print(name)
+        say(name)
     for text in told:
-        print(f"  note     {text}")
+        say(f"  note     {text}")
 
 
 # ------------------------------------------------------------------- private

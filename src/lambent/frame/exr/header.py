@@ -281,8 +281,7 @@ class Container:
         return str(self.path) if same else None
 
     def damaged(self, what: str, layer: str | None = None) -> NoReturn:
-        """Raise `DamagedFileError` with the file's name; unprintable letters are made visible."""
-        what = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in what)
+        """Raise `DamagedFileError` with the file's name."""
         raise DamagedFileError(what, file=self.path, layer=layer, remedy=REMEDY)
 
     def _check_size(self) -> None:

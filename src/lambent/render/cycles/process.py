@@ -124,7 +124,7 @@ class BlenderProcess:
             if refusal.kind == "crash":
                 text, log = refusal.message, self.log_end()
                 self.close()
-                raise EngineError(f"Blender failed: {text}\n{log}") from refusal
+                raise EngineError(f"Blender failed: {text}", details=log) from refusal
             raise
         except BrokenPipeError:
             raise self._died() from None
@@ -132,12 +132,12 @@ class BlenderProcess:
             self.close()
             raise
 
-    def log_end(self, lines: int = 12) -> str:
+    def log_end(self, lines: int = 12) -> list[str]:
         """The last lines that Blender printed."""
         with suppress(OSError):
             text = Path(self._log).read_text("utf-8", "replace")
-            return "\n".join(f"  | {line}" for line in text.splitlines()[-lines:])
-        return ""
+            return text.splitlines()[-lines:]
+        return []
 
     def close(self) -> None:
         """End Blender and remove the scratch folder."""
@@ -182,4 +182,4 @@ class BlenderProcess:
         self.close()
         text = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
         hint = "was it out of memory? Try a smaller --size" if code == -9 else None
-        return EngineError(f"Blender ended before it was done ({text})\n{log}", remedy=hint)
+        return EngineError(f"Blender ended before it was done ({text})", details=log, remedy=hint)
