@@ -21,6 +21,9 @@ from lambent.errors import EngineError
 #: The oldest LLVM that our kernels are tested with. 15 aborts the process in them.
 OLDEST_LLVM = 20
 
+#: Library with threads -> the process that uses it.
+_users: dict[str, int] = {}
+
 _LIBRARY = {"darwin": "libLLVM.dylib", "win32": "LLVM-C.dll"}.get(sys.platform, "libLLVM.so")
 
 
@@ -89,6 +92,7 @@ def engine(device: str = "auto") -> str:
 
     Raises `EngineError` where the wish cannot be met, with what to install.
     """
+    claim("Dr.Jit")
     if device not in ("auto", "cpu", "cuda"):
         raise EngineError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
     if device == "cuda":
@@ -106,6 +110,25 @@ def engine(device: str = "auto") -> str:
         remedy="pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM; "
         "the models named oidn* work without",
     )
+
+
+def claim(library: str) -> None:
+    """Note that this process uses a library with threads of its own.
+
+    Raises `EngineError` in a fork of a process that has used it: a fork has the library's locks but
+    none of its threads, and would wait for them for ever.
+    """
+    if _users.setdefault(library, os.getpid()) != os.getpid():
+        raise EngineError(
+            f"{library} was used before this process was forked, and cannot be used in the fork",
+            remedy="start processes afresh, with multiprocessing.get_context('spawn'), or use "
+            "Lambent only after the fork",
+        )
+
+
+def owns(library: str) -> bool:
+    """Whether this very process uses a library, and no process that it was forked from."""
+    return _users.get(library) == os.getpid()
 
 
 def cache_folder() -> Path:

@@ -427,7 +427,7 @@ def _as_frame(thing: Any, settings: Settings, arrays: Mapping[Role, Any]) -> Fra
             frame = frame.replace(spp=settings.spp)
         frame = _remap(frame, settings)
     for role, image in arrays.items():
-        frame = frame.with_layer(Layer(role, np.asarray(image)))
+        frame = frame.with_layer(Layer(role, _of_numbers(np.asarray(image), role.value)))
     return frame.checked() if arrays else frame
 
 
@@ -438,11 +438,7 @@ def _of_array(thing: Any) -> Frame:
             f"cannot denoise a {type(thing).__name__} of shape {image.shape}",
             remedy="give a Frame, a path, or an array (H, W, 3) of linear radiance",
         )
-    if image.dtype.kind in "iub":
-        raise OptionError(
-            f"an array of {image.dtype} is no linear radiance",
-            remedy="for display values: lambent.frame.tonemap.inverse_srgb(array / 255)",
-        )
+    _of_numbers(image, "linear radiance")
     if image.ndim == 3 and image.shape[2] == 4:
         return Frame.from_arrays(colour=image[:, :, :3], alpha=image[:, :, 3:])
     return Frame.from_arrays(colour=image)
@@ -460,6 +456,16 @@ def _read(path: Path, settings: Settings) -> Frame:
     views = read_views(path, roles=roles, spp=settings.spp)
     name = view_with_beauty(views)
     return views[name].noted(f"{without_beauty(frame.view)}: this is the view '{name}'")
+
+
+def _of_numbers(image: np.ndarray[Any, Any], what: str) -> np.ndarray[Any, Any]:
+    """The array, unless it holds whole numbers, as pictures of display values do."""
+    if image.dtype.kind in "iub":
+        raise OptionError(
+            f"an array of {image.dtype} is no {what}",
+            remedy="for display values: lambent.frame.tonemap.inverse_srgb(array / 255)",
+        )
+    return image
 
 
 def _remap(frame: Frame, settings: Settings) -> Frame:

@@ -12,7 +12,6 @@ Convolutions may be int8; what is between them is computed in the processor's ow
 from __future__ import annotations
 
 import functools
-import os
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.denoise.compiled import compiled
 from lambent.denoise.foreign import check_graph
 from lambent.denoise.model_file import ModelFile
 from lambent.denoise.openvino import openvino
@@ -30,7 +30,7 @@ from lambent.denoise.views import two_views
 from lambent.errors import DamagedFileError, EngineError
 from lambent.frame.layer import FloatImage
 from lambent.kernels.pyramid import Logits, Workspace, logits_memory
-from lambent.startup import cache_folder
+from lambent.startup import claim
 
 #: The channels that the network gives (`learn.networks.lambent`), and at which fraction of the
 #: packed size: of the pyramid's levels, and of the albedo's kernels.
@@ -202,6 +202,7 @@ def network(
     `EngineError` without OpenVINO, `DamagedFileError` for a network it does not take.
     """
     key = (str(model.card["sha256"]), precision, threads, views)
+    claim("OpenVINO")
     with _networks_lock:
         if key not in _networks:
             _networks[key] = _made(model, precision, threads, views)
@@ -225,7 +226,8 @@ def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> 
         graph = core.read_model(model.network, model.weights)
         check_graph(model, graph, OUTPUTS)
         if not _is_pyramid(model):
-            return Network(core.compile_model(graph, "CPU", options))
+            identity = str(sorted(model.card["sha256"].items()))
+            return Network(compiled(core, graph, options, identity, openvino().__version__))
         step = _with_short_input(graph)
         if views == 2:
             again = core.read_model(model.network, model.weights)
@@ -237,7 +239,7 @@ def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> 
 
     def compile_(graph: Any) -> Any:
         try:  # for one size of frames: not worth a place in the cache
-            return core.compile_model(graph, "CPU", {**options, "CACHE_DIR": ""})
+            return core.compile_model(graph, "CPU", options)
         except RuntimeError as error:
             raise _refused(model, error) from error
 
@@ -292,12 +294,4 @@ def _with_short_outputs(graph: Any) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _core() -> Any:
-    core = openvino().Core()
-    folder = cache_folder() / "compiled"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            core.set_property({"CACHE_DIR": str(folder)})
-    except OSError:
-        pass  # a home that cannot be written: compile each time
-    return core
+    return openvino().Core()

@@ -118,6 +118,13 @@ class Frame:
         """Columns."""
         return int(self._any().data.shape[1])
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        """The beauty ``(H, W, 3)`` for ``np.asarray(frame)``. Raises `LayerError` without one."""
+        array = np.asarray(self.colour, dtype)
+        if copy is False and array is not self.colour:
+            raise ValueError("a frame's colour as another type is a copy")
+        return array.copy() if copy else array
+
     def _any(self) -> Layer:
         for layer in self.all_layers():
             return layer

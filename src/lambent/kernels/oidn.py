@@ -30,12 +30,15 @@ import numpy as np
 
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
+from lambent.startup import claim, owns
 
 #: OIDN's network halves the resolution four times: tiles agree when they begin on multiples of it.
 ALIGNMENT = 16
 
 #: How many filters are kept. They share one scratch memory a device.
 _KEPT = 4
+
+_NAME = "Open Image Denoise"
 
 _EXPOSURE_KEY = 0.18
 _EXPOSURE_FLOOR = 1e-8
@@ -78,6 +81,7 @@ def clean(
     denoised. ``progress`` is called with values in [0, 1]; returning False stops the work.
     Raises `EngineError` for what OIDN refuses, `KeyboardInterrupt` on Ctrl-C.
     """
+    claim(_NAME)
     if threading.current_thread() is not threading.main_thread():
         return _clean(images, options, progress, threading.Event())
     stop = threading.Event()
@@ -136,6 +140,8 @@ def overlap(options: Options, aux: bool = True) -> int:
 
 def release() -> None:
     """Free the kept filters and devices with their memory."""
+    if not owns(_NAME):  # a fork has none of the threads that this would wait for
+        return
     with _lock:
         _filters.clear()
         _devices.clear()
@@ -157,6 +163,7 @@ def _library() -> ModuleType:
             f"Open Image Denoise cannot be loaded: {error}",
             remedy="pip install mitsuba-oidn, or take another model (lambent models)",
         ) from error
+    claim(_NAME)
     return mitsuba_oidn
 
 

@@ -20,7 +20,8 @@ _VARIANTS = {"llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
 def mitsuba(device: str = "auto") -> Any:
     """The module ``mitsuba`` with its variant set for ``device`` (auto, cpu, cuda).
 
-    A variant of the same backend that a script has set already (``llvm_mono`` …) is kept.
+    A variant of the same backend that a script has set already (``llvm_mono`` …) is kept; with
+    "auto" one of any backend that Lambent can use, so that what was chosen once stays.
     Raises `EngineError` where Mitsuba or the device is missing, with what to install.
     """
     backend = engine(device)
@@ -33,7 +34,7 @@ def mitsuba(device: str = "auto") -> Any:
             remedy="pip install 'lambent[render]'",
         ) from error
     now = mi.variant()
-    if now is None or not now.startswith(backend):
+    if not _stays(now, device, backend):
         try:
             mi.set_variant(_VARIANTS[backend])
         except Exception as error:
@@ -48,3 +49,13 @@ def mitsuba(device: str = "auto") -> Any:
         # with one processor Mitsuba 3.9 waits for ever while it loads a scene of many meshes
         dr.set_thread_count(2)
     return mi
+
+
+# ------------------------------------------------------------------- private
+
+
+def _stays(variant: str | None, device: str, backend: str) -> bool:
+    """Whether the variant that Mitsuba has serves a device."""
+    return variant is not None and variant.startswith(
+        tuple(_VARIANTS) if device == "auto" else backend
+    )

@@ -31,6 +31,8 @@ _REMARK = re.compile(r"^Warning: Exception raised reading pixel data for part \d
 _OPEN_FILES = "/proc/self/fd"
 
 _lock = threading.Lock()
+#: The process whose threads the module has (none yet, or one; a fork copies the set).
+_owners: set[int] = set()
 
 
 def module() -> Any:
@@ -40,7 +42,14 @@ def module() -> Any:
     with _lock:
         if OpenEXR.global_thread_count() == 0:
             OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+            _owners.add(os.getpid())
     return OpenEXR
+
+
+def threads() -> int:
+    """How many threads the module may use: none in a fork, which has inherited a pool without."""
+    module()
+    return (os.cpu_count() or 1) if os.getpid() in _owners else 0
 
 
 def name_of(descriptor: int) -> str | None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from lambent.errors import FileError, OutputError
 from lambent.frame.exr.apart import decode_apart
 from lambent.frame.exr.header import Container, Level, PartHeader
-from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of
+from lambent.frame.exr.module import enough_memory, memory_file, module, name_of, parts_of, threads
 from lambent.frame.exr.values import COMPRESSIONS
 from lambent.frame.magic import EXR_MAGIC
 
@@ -185,7 +185,7 @@ def _codec_file(
                 out.flush()
                 written = True
             if written:
-                yield name_of(descriptor), os.cpu_count() or 1
+                yield name_of(descriptor), threads()
                 return
             with suppress(OSError):
                 out.truncate(0)
@@ -385,7 +385,7 @@ def _little_file(part: PartHeader, arrays: Mapping[str, NDArray[Any]], first: in
     if descriptor is not None:
         # No room, or a limit on the size of files, and the module's many exceptions: as a stream.
         with os.fdopen(descriptor, "rb") as made, suppress(Exception):
-            exr.File(parts, num_threads=os.cpu_count() or 1).write(name_of(descriptor))
+            exr.File(parts, num_threads=threads()).write(name_of(descriptor))
             content = made.read()
             Container(None, content)  # raises for a file that was cut off
             return content

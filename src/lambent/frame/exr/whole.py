@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.frame.exr.header import Container, PartHeader
-from lambent.frame.exr.module import module, name_of, parts_of
+from lambent.frame.exr.module import module, name_of, parts_of, threads
 from lambent.frame.exr.pixels import Arrays, module_part, safe_names, tile_size
 from lambent.frame.exr.values import COMPRESSIONS, well_formed
 
@@ -45,7 +45,7 @@ def read_whole(container: Container) -> list[Arrays] | None:
     """Every channel of every part in its own type and sampled size, or None."""
     if not readable(container):
         return None
-    found, _ = parts_of(container.open_name, -1, container.path)
+    found, _ = parts_of(container.open_name, threads(), container.path)
     if len(found) != len(container.parts):
         return None
     whole = []
