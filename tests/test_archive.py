@@ -115,9 +115,9 @@ def test_cards_that_are_no_object(tmp_path, card):
 )  # fmt: skip
 def test_values_of_other_types_are_named(sound, value, kind):
     archive = read_archive(rewritten(sound, card={"thing": value}), "field")
-    with pytest.raises(DamagedFileError, match="'thing' of its card"):
+    with pytest.raises(DamagedFileError, match="on its card 'thing' is"):
         check_card(archive, {"thing": kind})
-    with pytest.raises(DamagedFileError, match="no 'other'"):
+    with pytest.raises(DamagedFileError, match="it has no 'other'"):
         check_card(archive, {"other": kind})
 
 

@@ -23,7 +23,6 @@ import re
 import stat
 import struct
 import types
-import typing
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -38,6 +37,7 @@ from lambent.errors import DamagedFileError, FileError
 from lambent.frame.atomic import atomic
 from lambent.frame.limits import check_bytes
 from lambent.frame.magic import begins_as
+from lambent.settings import fits, parse_json, shortened, wrong_key
 
 SUFFIX = ".lambent"
 CARD = "card.json"
@@ -136,21 +136,11 @@ def write_archive(
 def check_card(archive: Archive, kinds: Mapping[str, Any]) -> None:
     """Raise `DamagedFileError` unless the card has these keys with values of these types.
 
-    A type is a class, ``X | None``, ``list[X]`` or ``dict[str, X]``; a whole number counts as a
-    float. Floats must be finite.
+    Types are those of `lambent.settings.fits`.
     """
-    for key, kind in kinds.items():
-        if key not in archive.card:
-            raise DamagedFileError(
-                f"is damaged: its card has no '{key}'", file=archive.path, remedy=_remedy(archive)
-            )
-        if not _fits(archive.card[key], kind):
-            name = kind.__name__ if isinstance(kind, type) else str(kind)
-            raise DamagedFileError(
-                f"is damaged: '{key}' of its card is {_short(archive.card[key])}, not {name}",
-                file=archive.path,
-                remedy=_remedy(archive),
-            )
+    wrong = wrong_key(dict(archive.card), dict(kinds))
+    if wrong:
+        raise _damaged(archive, f"on its card {wrong}")
 
 
 def packed_array(array: NDArray[Any]) -> bytes:
@@ -213,7 +203,7 @@ def _checked_directory(
         wrong = f"it has {len(infos)} members"
     for name, info in infos.items():
         if not _NAME.fullmatch(name):
-            wrong = f"a member has the name {_short(name)}"
+            wrong = f"a member has the name {shortened(name)}"
         elif info.flag_bits & 0x1:
             wrong = f"{name} is encrypted"
         elif info.compress_type not in _PACKED:
@@ -238,7 +228,7 @@ def _card(
     archive: zipfile.ZipFile, infos: Mapping[str, zipfile.ZipInfo], path: Path, kind: str
 ) -> dict[str, Any]:
     what, remedy = KINDS[kind]
-    card = json.loads(archive.read(infos[CARD]))
+    card = parse_json(archive.read(infos[CARD]))
     if not isinstance(card, dict):
         raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy)
     here = card.get("kind", _kind_of_old(card))
@@ -248,13 +238,13 @@ def _card(
         raise FileError(f"is a {KINDS[here][0]}, not a {what}", file=path, remedy=remedy)
     if card.get("format") != FORMAT:
         raise FileError(
-            f"was made by another version of Lambent (format {_short(card.get('format'))}, here "
+            f"was made by another version of Lambent (format {shortened(card.get('format'))}, here "
             f"{FORMAT})",
             file=path,
             remedy=remedy,
         )
     sums = card.get("sha256")
-    each = isinstance(sums, dict) and _fits(sums, dict[str, str])
+    each = isinstance(sums, dict) and fits(sums, dict[str, str])
     if not isinstance(sums, dict) or not each or set(sums) != set(infos) - {CARD}:
         raise DamagedFileError(
             "is damaged: its card does not have a checksum for each member",
@@ -286,30 +276,6 @@ def _array(archive: Archive, name: str) -> NDArray[Any]:
             archive, f"{name}.npy has {len(content) - start} bytes for {dtype.name} {shape}"
         )
     return np.frombuffer(content, dtype, offset=start).reshape(shape).copy()
-
-
-def _fits(value: Any, kind: Any) -> bool:
-    """Whether a value from JSON is of a type (see `check_card`)."""
-    if kind is Any:
-        return True
-    if typing.get_origin(kind) in (types.UnionType, typing.Union):
-        return any(_fits(value, one) for one in typing.get_args(kind))
-    if typing.get_origin(kind) is list:
-        return isinstance(value, list) and all(_fits(v, typing.get_args(kind)[0]) for v in value)
-    if typing.get_origin(kind) is dict:
-        inner = typing.get_args(kind)[1]
-        return isinstance(value, dict) and all(_fits(v, inner) for v in value.values())
-    if kind is float:
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return number and abs(value) < 1e300  # neither NaN nor infinite, and no endless integer
-    if kind is types.NoneType:
-        return value is None
-    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-
-
-def _short(value: Any) -> str:
-    text = repr(value) if not isinstance(value, Exception) else str(value)
-    return text if len(text) <= 60 else text[:57] + "…"
 
 
 def _remedy(archive: Archive) -> str:

@@ -1,39 +1,118 @@
-"""Settings in TOML files, read into frozen dataclasses: recipes of data sets and of training.
+"""What people and programs write for Lambent as TOML and JSON, checked before it is used.
 
-Unknown keys are errors, answered with the nearest known one; every value has the type of its field
-and lies in its range.
+`read_toml` and `read_json` refuse what is no such file; `fits` and `wrong_key` tell whether values
+have their types; `record_from` makes a frozen dataclass of a table: recipes of data sets and of
+training. There, unknown keys are errors, answered with the nearest known one; every value has the
+type of its field and lies in its range.
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
+import json
+import stat
 import sys
+import types
 import typing
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lambent.errors import FileError, OptionError
+from lambent.errors import DamagedFileError, FileError, OptionError
 
 #: Field, lowest and highest value (of each entry, where it is a list).
 Range = tuple[str, float, float]
 T = TypeVar("T")
+#: Bytes of a text that is read whole.
+_LARGEST = 256 << 20
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_text(path: Path, what: str, remedy: str) -> str:
+    """A text file. Raises `FileError`: missing, no regular file, too large, no UTF-8."""
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise FileError(f"is a folder, not a {what}", file=path, remedy=remedy)
+        if not stat.S_ISREG(status.st_mode):
+            raise FileError(f"is a pipe or a device, not a {what}", file=path, remedy=remedy)
+        if status.st_size > _LARGEST:
+            raise FileError(f"is too large for a {what}", file=path, remedy=remedy)
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise FileError(f"there is no such {what}", file=path, remedy=remedy) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"cannot be read: {error}", file=path, remedy=remedy) from None
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text. Raises `ValueError`, whatever is wrong with it."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def read_json(path: Path, what: str, remedy: str) -> dict[str, Any]:
+    """The object in a JSON file. Raises `FileError`."""
+    try:
+        found = parse_json(read_text(path, what, remedy))
+    except ValueError as error:
+        raise FileError(f"is no JSON: {error}", file=path, remedy=remedy) from None
+    if not isinstance(found, dict):
+        raise FileError(f"is no {what}", file=path, remedy=remedy)
+    return found
+
+
+def fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of a type: a class, ``X | None``, ``list[X]`` or ``dict[str, X]``.
+
+    A whole number counts as a float; floats must be finite, and a truth value is no number.
+    """
+    if kind is Any:
+        return True
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+        return any(fits(value, one) for one in typing.get_args(kind))
+    if typing.get_origin(kind) is list:
+        return isinstance(value, list) and all(fits(v, typing.get_args(kind)[0]) for v in value)
+    if typing.get_origin(kind) is dict:
+        inner = typing.get_args(kind)[1]
+        return isinstance(value, dict) and all(fits(v, inner) for v in value.values())
+    if kind is float:
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return number and abs(value) < 1e300  # neither NaN nor infinite, and no endless integer
+    if kind is types.NoneType:
+        return value is None
+    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+
+
+def wrong_key(table: dict[str, Any], kinds: dict[str, Any]) -> str:
+    """What is wrong with the keys of a table that must have these types, or ""."""
+    for key, kind in kinds.items():
+        if key not in table:
+            return f"it has no '{key}'"
+        if not fits(table[key], kind):
+            name = kind.__name__ if isinstance(kind, type) else str(kind)
+            return f"'{key}' is {shortened(table[key])}, not {name}"
+    return ""
+
+
+def shortened(value: Any) -> str:
+    """A value for a message."""
+    text = str(value) if isinstance(value, Exception) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def read_toml(path: Path, what: str = "recipe") -> dict[str, Any]:
     """The keys and values of a TOML file. Raises `FileError`: missing, unreadable, no TOML."""
     tomllib = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileError("there is no such recipe", file=path, remedy="name a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(f"cannot be read: {error}", file=path, remedy="name a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(
-            f"is no TOML: {error}", file=path, remedy="one 'key = value' a line, texts in quotes"
+        found = tomllib.loads(read_text(path, what, "name a TOML file"))
+    except (ValueError, RecursionError) as error:  # TOML's own error, or a number of endless digits
+        reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise DamagedFileError(
+            f"is no TOML: {reason}", file=path, remedy="one 'key = value' a line, texts in quotes"
         ) from None
     assert isinstance(found, dict)
     return found
@@ -96,9 +175,13 @@ def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
         if isinstance(value, (list, tuple)) and (inner[-1] is ... or len(value) == len(inner)):
             return tuple(_typed(key, v, inner[0], file) for v in value)
         wanted = "a list" if inner[-1] is ... else f"a list of {len(inner)}"
-        raise OptionError(f"{key} = {value!r} should be {wanted}", file=file, remedy="see the docs")
+        raise OptionError(
+            f"{key} = {shortened(value)} should be {wanted}", file=file, remedy="see the docs"
+        )
     kind = dict if typing.get_origin(kind) is dict else kind
     good = isinstance(value, (int, float) if kind is float else kind)
+    if good and kind in (int, float) and not isinstance(value, bool):
+        good = fits(value, float)
     if not good or (isinstance(value, bool) and kind is not bool):
         words = {
             int: "a whole number",
@@ -108,5 +191,7 @@ def _typed(key: str, value: Any, kind: Any, file: object) -> Any:
             dict: "a table",
         }
         word = words[kind]
-        raise OptionError(f"{key} = {value!r} should be {word}", file=file, remedy="see the docs")
+        raise OptionError(
+            f"{key} = {shortened(value)} should be {word}", file=file, remedy="see the docs"
+        )
     return kind(value)

@@ -27,6 +27,7 @@ from lambent.dataset.plan import CLIP, STILL
 from lambent.dataset.recipe import Recipe
 from lambent.errors import FileError, OptionError
 from lambent.frame.atomic import atomic
+from lambent.settings import fits, parse_json, read_json, wrong_key
 
 MANIFEST, ITEMS, LOCK = "manifest.json", "items.jsonl", ".lock"
 SUBFOLDERS = {STILL: "crops", CLIP: "clips"}
@@ -62,20 +63,20 @@ def sha256_of(path: Path) -> str:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest. Raises `FileError` where the folder is no data set."""
     path = folder / MANIFEST
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         raise FileError(
             f"is no data set: it has no {MANIFEST}",
             file=folder,
             remedy="make one: lambent dataset make RECIPE -o DIR",
-        ) from None
-    except (OSError, ValueError) as error:
-        raise FileError(f"cannot be read: {error}", file=path, remedy="copy it again") from None
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        )
+    manifest = read_json(path, "manifest", "copy it again")
+    if manifest.get("format") != FORMAT:
         raise FileError(
             "is a data set of another version of Lambent", file=path, remedy="update Lambent"
         )
+    wrong = wrong_key(manifest, {"recipe": dict[str, Any], "versions": list[Any]})
+    if wrong:
+        raise FileError(f"is damaged: {wrong}", file=path, remedy="copy it again")
     return manifest
 
 
@@ -84,15 +85,25 @@ def recipe_of(folder: Path) -> Recipe:
     return Recipe.from_dict(read_manifest(folder)["recipe"], folder / MANIFEST)
 
 
+#: The keys that every line of the list of items has.
+_LINE = {"what": str, "index": int, "file": str, "sha256": str, "bytes": int}
+
+
 def read_lines(folder: Path) -> dict[ItemKey, Line]:
-    """The line of each item, the last one where there are several; torn lines are left out."""
+    """The line of each item, the last one where there are several.
+
+    Torn lines, and those that name no file of the item's own, are left out: it is made again.
+    """
     lines: dict[ItemKey, Line] = {}
     with suppress(FileNotFoundError), open(folder / ITEMS, "rb") as handle:
         for raw in handle:
             with suppress(ValueError, KeyError, TypeError):
-                line = json.loads(raw)
-                if raw.endswith(b"\n"):
-                    lines[line["what"], int(line["index"])] = line
+                line = parse_json(raw)
+                if not raw.endswith(b"\n") or not fits(line, dict[str, Any]):
+                    continue
+                sound = not wrong_key(line, _LINE)
+                if sound and line["file"] == file_of(line["what"], line["index"]):
+                    lines[line["what"], line["index"]] = line
     return lines
 
 

@@ -41,6 +41,7 @@ from lambent.frame.exr.new import channel_names
 from lambent.frame.frame import Frame, Key
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Space, Stat
+from lambent.settings import parse_json
 
 #: Part of the first header that says what the item is.
 ABOUT = "lambentItem"
@@ -136,7 +137,7 @@ REMAKE = "make it again: lambent dataset make, the same command"
 
 def _about(exr: ExrFile) -> dict[str, Any]:
     try:
-        found = json.loads(exr.parts[0].header[ABOUT])
+        found = parse_json(exr.parts[0].header[ABOUT])
         if isinstance(found, dict):
             return found
     except (KeyError, TypeError, ValueError):

@@ -11,7 +11,6 @@ command that was interrupted, even killed, resume when it is given again.
 
 from __future__ import annotations
 
-import json
 import os
 import queue
 import re
@@ -44,6 +43,7 @@ from lambent.errors import FileError, LambentError, OutputError
 from lambent.frame.atomic import refuse_stdout
 from lambent.frame.files import ENDINGS
 from lambent.frame.opening import exists, refuse_special, unreadable
+from lambent.settings import parse_json
 
 if TYPE_CHECKING:
     from lambent.frame.sequence import Sequence as FrameSequence
@@ -193,7 +193,7 @@ def read_stamp(path: Path) -> dict[str, Any] | None:
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             text = file.header(0).get(STAMP)
-        found = json.loads(text) if text else None
+        found = parse_json(text) if text else None
     except (RuntimeError, ValueError, OSError, IndexError):
         return None
     return found if isinstance(found, dict) else None

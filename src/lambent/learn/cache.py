@@ -32,6 +32,7 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
 from lambent.learn.recipe import TrainRecipe
+from lambent.settings import read_json
 
 #: Layers of a level in the file, after its three channels of colour.
 STORED = {name: count for name, count in LAYERS.items() if name != "history"} | dict(LOBES)
@@ -94,7 +95,7 @@ def cached(
     index = home / "index.json"
     known: dict[str, list[dict[str, Any]]] = {}
     if index.exists():
-        known = json.loads(index.read_text())
+        known = read_json(index, "index of an unpacked data set", f"remove {home}")
     lines = [data.line(i) for i in range(len(data))]
     todo = [i for i, line in enumerate(lines) if line["file"] not in known] if unpack else []
     try:

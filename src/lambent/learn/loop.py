@@ -50,6 +50,7 @@ from lambent.frame.tonemap import to_png
 from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import RecordableTask, Task
+from lambent.settings import fits, parse_json, read_json, read_text
 
 #: Seconds from one saved state to the next.
 SAVE_EVERY = 120.0
@@ -95,9 +96,16 @@ class Run:
 
     def before(self) -> list[dict[str, Any]]:
         """What is in `begun`; nothing if the run began with random weights."""
-        found = json.loads(self.begun.read_text("utf-8")) if self.begun.exists() else []
-        assert isinstance(found, list)
-        return found
+        if not self.begun.exists():
+            return []
+        remedy = "begin the run anew"
+        try:
+            found = parse_json(read_text(self.begun, "account of a run", remedy))
+        except ValueError as error:
+            raise FileError(f"is no JSON: {error}", file=self.begun, remedy=remedy) from None
+        if not fits(found, list[dict[str, Any]]):
+            raise FileError("is no list of runs", file=self.begun, remedy=remedy)
+        return list(found)
 
     def told(self) -> dict[str, Any]:
         """What a card says of a run: recipe, hours, machine, best step and score, the curve.
@@ -106,7 +114,7 @@ class Run:
         """
         recipe = self.recipe()
         recipe["data"] = [Path(folder).name for folder in recipe["data"]]
-        about = json.loads((self.folder / "run.json").read_text(encoding="utf-8"))
+        about = read_json(self.folder / "run.json", "account of a run", "begin the run anew")
         checks = [ln for ln in self.lines() if "check" in ln]
         best = min(checks, key=lambda ln: ln["check"]["score"])
         return {
@@ -124,20 +132,13 @@ class Run:
         found = []
         if self.log.exists():
             for line in self.log.read_text(encoding="utf-8").splitlines():
-                with suppress(json.JSONDecodeError):
-                    found.append(json.loads(line))
+                with suppress(ValueError):
+                    found.append(parse_json(line))
         return found
 
     def recipe(self) -> dict[str, Any]:
         """The settings of the run. Raises `FileError`."""
-        try:
-            found = json.loads((self.folder / "recipe.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise FileError(
-                f"holds no training run: {error}", file=self.folder, remedy="name a run's folder"
-            ) from None
-        assert isinstance(found, dict)
-        return found
+        return read_json(self.folder / "recipe.json", "recipe of a run", "name a run's folder")
 
     def weights(self) -> dict[str, torch.Tensor]:
         """The best mean weights. Raises `FileError` before the first validation."""

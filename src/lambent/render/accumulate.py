@@ -28,6 +28,7 @@ from lambent.frame.role import Role, Stat
 from lambent.frame.windows import Windows
 from lambent.render.channels import Group
 from lambent.render.moments import Moments
+from lambent.settings import parse_json
 
 if TYPE_CHECKING:
     from lambent.render.sampling import FrameSampler
@@ -181,7 +182,7 @@ def stamp_of(path: str | Path) -> Stamp | None:
     if text is None:
         return None
     try:
-        found = json.loads(text)
+        found = parse_json(text)
         return Stamp(**{**found, "layers": tuple(found["layers"])})
     except (ValueError, TypeError, KeyError):
         return None

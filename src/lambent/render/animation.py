@@ -29,6 +29,7 @@ Motion vectors follow from the poses of a frame and of the one before (`lambent.
 from __future__ import annotations
 
 import fnmatch
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,9 +38,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
+from lambent.errors import OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
+from lambent.settings import fits, read_toml, shortened
 
 if TYPE_CHECKING:
     from lambent.render.motion import Motion
@@ -135,44 +137,107 @@ _KEYS = {
 }
 
 
-def read_keyframes(path: str | Path) -> Keyframes:
-    """The animation in a TOML file. Raises `FileError`, `DamagedFileError`, `OptionError`."""
-    try:
-        import tomllib
-    except ModuleNotFoundError:  # Python 3.10
-        import tomli as tomllib
+#: Key -> numbers of one value (0: a number by itself), and what they are.
+_VALUES = {
+    "origin": (3, "a point [x, y, z]"),
+    "target": (3, "a point [x, y, z]"),
+    "up": (3, "a direction [x, y, z]"),
+    "fov": (0, "degrees between 0 and 180"),
+    "translate": (3, "a shift [x, y, z]"),
+    "axis": (3, "a direction [x, y, z]"),
+    "angle": (0, "degrees"),
+    "scale": (3, "a factor that is not 0, or three"),
+    "pivot": (3, "a point [x, y, z]"),
+}
+#: Frames that a file may speak of.
+_MOST_FRAMES = 1_000_000
 
+
+def read_keyframes(path: str | Path) -> Keyframes:
+    """The animation in a TOML file. Raises `FileError`, `OptionError`, `UnknownNameError`."""
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise FileError("does not exist", file=path, remedy="check the path") from None
-    except (OSError, ValueError) as error:
-        raise DamagedFileError(f"is no TOML: {error}", file=path) from error
-    sections = [("", table), ("camera", table.get("camera", {}))]
-    sections += [("object", moving) for moving in table.get("object", [])]
-    for name, section in sections:
+    table = read_toml(path, "file of keyframes")
+    _check_sections(table, path)
+    frames = table.get("frames")
+    if not (
+        isinstance(frames, list)
+        and fits(frames, list[int])
+        and len(frames) == 2
+        and frames[0] <= frames[1]
+    ):
+        raise OptionError("needs frames = [first, last]", file=path, remedy="frames = [1, 48]")
+    if frames[1] - frames[0] >= _MOST_FRAMES or max(map(abs, frames)) > 10**9:
+        raise OptionError(
+            f"frames = {shortened(frames)} are more than {_MOST_FRAMES:,}",
+            file=path,
+            remedy="name fewer",
+        )
+    camera = table.get("camera", {})
+    _check_section(camera, "camera", path)
+    for number, moving in enumerate(table.get("object", []), 1):
+        if not isinstance(moving.get("shape"), str):
+            raise OptionError("an [[object]] has no 'shape'", file=path, remedy='shape = "ball"')
+        _check_section(moving, f"object {number}", path)
+    if ("origin" in camera) != ("target" in camera):
+        raise OptionError(
+            "[camera] needs both origin and target", file=path, remedy="add the other"
+        )
+    return Keyframes(table, path)
+
+
+def _check_sections(table: dict[str, Any], path: Path) -> None:
+    """Whether the file has the sections and keys that there are, each in its form."""
+    camera, objects = table.get("camera", {}), table.get("object", [])
+    if not isinstance(camera, dict) or not fits(objects, list[dict[str, Any]]):
+        raise OptionError(
+            "has a section in another form", file=path, remedy="write [camera] and [[object]]"
+        )
+    for name, section in [("", table), ("camera", camera), *(("object", o) for o in objects)]:
         for key in section:
             if key not in _KEYS[name]:
                 raise UnknownNameError(f"key in [{name or 'file'}]", key, _KEYS[name], file=path)
-    frames = table.get("frames")
-    if not (isinstance(frames, list) and len(frames) == 2 and frames[0] <= frames[1]):
-        raise OptionError("needs frames = [first, last]", file=path)
-    for moving in table.get("object", []):
-        if "shape" not in moving:
-            raise OptionError("an [[object]] has no 'shape'", file=path, remedy='shape = "ball"')
-    camera = table.get("camera", {})
-    if ("origin" in camera) != ("target" in camera):
-        raise OptionError("[camera] needs both origin and target", file=path)
-    for section in (camera, *table.get("object", [])):
-        at = np.atleast_1d(np.asarray(section.get("at", [0.0]), float))
-        if np.any(np.diff(at) <= 0):
-            raise OptionError("keyframes ('at') must rise", file=path)
-        if section.get("interpolation", "smooth") not in ("smooth", "linear"):
-            raise UnknownNameError(
-                "interpolation", section["interpolation"], ("smooth", "linear"), file=path
+
+
+def _check_section(section: dict[str, Any], name: str, path: Path) -> None:
+    """Whether the values of a section are numbers in the shape that their keys want."""
+    if section.get("interpolation", "smooth") not in ("smooth", "linear"):
+        known = ("smooth", "linear")
+        raise UnknownNameError("interpolation", str(section["interpolation"]), known, file=path)
+    at = section.get("at", 0.0)
+    times = at if isinstance(at, list) else [at]
+    if not times or not fits(times, list[float]) or max(map(abs, times)) > 1e9:
+        raise OptionError(f"[{name}] 'at' is no list of frames", file=path, remedy="at = [1, 24]")
+    if any(b <= a for a, b in itertools.pairwise(times)):
+        raise OptionError(
+            f"[{name}] keyframes ('at') must rise", file=path, remedy="put them in order"
+        )
+    for key, (width, words) in _VALUES.items():
+        if key in section and not _is_value(key, section[key], width):
+            raise OptionError(
+                f"[{name}] {key} = {shortened(section[key])} should be {words}, or a list of them",
+                file=path,
+                remedy="one value a keyframe, or one for all",
             )
-    return Keyframes(table, path)
+
+
+def _is_value(key: str, value: Any, width: int) -> bool:
+    """Whether it is one value of a key or a list of them, with which a picture can be made."""
+    if key == "scale" and fits(value, float):
+        value = [value] * width
+    if fits(value, list[float] if width else float):
+        value = [value]
+    if not value or not fits(value, list[list[float]] if width else list[float]):
+        return False
+    if width and any(len(v) != width for v in value):
+        return False
+    values = np.abs(np.asarray(value, float))
+    if key == "fov":
+        return bool((np.asarray(value) > 0).all() and (values < 180).all())
+    if key == "scale":
+        return bool((values > 1e-9).all() and (values < 1e9).all())
+    if key in ("axis", "up"):
+        return bool((values.max(axis=1) > 1e-9).all() and (values < 1e9).all())
+    return bool((values < 1e12).all())
 
 
 class Stage:
