@@ -19,6 +19,7 @@ version = release
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
+smartquotes_action = "qe"  # no dashes: --option stays two hyphens
 source_suffix = {".md": "markdown"}
 exclude_patterns = [
     "_build",

@@ -230,6 +230,17 @@ def test_the_loupes_follow_the_pointer_over_all_images(visit):
     assert float(values[2].split()[1]) == pytest.approx(0.4, rel=0.03)
 
 
+def test_keys_work_without_a_click_first(visit):
+    zoom = visit.page.locator("#zoom")
+    fitted = zoom.text_content()
+    visit.page.keyboard.press("1")
+    visit.settle()
+    assert zoom.text_content() == "100 %" != fitted
+    visit.page.keyboard.press("0")
+    visit.settle()
+    assert zoom.text_content() == fitted
+
+
 def test_keys_of_the_stage(visit):
     visit.page.locator("#stage").focus()
     visit.page.keyboard.press("1")

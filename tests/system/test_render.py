@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -165,3 +166,21 @@ def test_nonsense_is_told(scene, tmp_path, capsys, options, word):
     assert word in text
     assert "Traceback" not in text
     assert not (tmp_path / "out.exr").exists()
+
+
+def test_ctrl_c_says_what_was_kept(tmp_path):
+    scene, out = tmp_path / "scene.xml", tmp_path / "out.exr"
+    scene.write_text(SCENE)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lambent", "render", str(scene), "-o", str(out), "--time", "60"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=renders.heed_ctrl_c,
+    )  # fmt: skip
+    time.sleep(6)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    if out.exists():
+        assert re.search(r"out\.exr holds \d+ samples a pixel; --resume goes on", err), err
+    else:
+        assert "nothing is kept" in err

@@ -9,6 +9,8 @@ is written again and again while the picture grows; after Ctrl-C it holds what w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +23,7 @@ from lambent.cli.terminal import remark, say
 if TYPE_CHECKING:
     from lambent.render.accumulate import State
     from lambent.render.job import Rendered
+    from lambent.render.moments import Moments
 
 EPILOG = (
     "Examples: lambent render scene.xml --spp 64; lambent render scene.xml --spp +64 --resume; "
@@ -138,7 +141,12 @@ def render(
         if text not in told:
             told.append(text)
 
-    with Progress(scene.name, quiet=as_json) as progress:
+    kept: list[str] = []
+
+    def keep(path: Path, moments: Moments) -> None:
+        kept[:] = [f"{path} holds {moments.spp} samples a pixel; --resume goes on with them"]
+
+    with _saying_what_is_kept(kept), Progress(scene.name, quiet=as_json) as progress:
 
         def tell(number: int | None, state: State) -> None:
             which = "" if number is None else f"frame {number}: "
@@ -169,6 +177,7 @@ def render(
             report=tell,
             report_cycles=progress.report,
             note=note,
+            written=keep,
         )
     page.finish(done[0])
     if as_json:
@@ -183,6 +192,16 @@ def render(
 
 
 # ------------------------------------------------------------------- private
+
+
+@contextmanager
+def _saying_what_is_kept(kept: list[str]) -> Iterator[None]:
+    """After Ctrl-C, what of the render is on disk."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        remark(*(kept or ["nothing was rendered to the end of a pass, so nothing is kept"]))
+        raise
 
 
 class _Page:

@@ -67,6 +67,8 @@ FIRST = ("stem", "enc0")
 BATCH = 8
 #: The learning rate; against halves, whose noise is most of every gradient, a careful one.
 RATE, CAREFUL = 2e-3, 3e-4
+#: Seconds of the time asked for that are left for the last check and the export (a tenth at most).
+LAST = 20.0
 #: The weights of the squared error and of the logarithm, which alone minds what is below ε.
 SQUARE, LOGARITHM = 16.0, 0.4
 #: Scores of a few tiles that differ by less are the same: then the last weights are taken, which
@@ -109,6 +111,7 @@ def finetune(
     seconds. Raises `OptionError` for too little data, `LayerError` for a frame with neither
     reference nor half buffers, and what reading frames raises.
     """
+    began = time.monotonic()
     pairs = [pair for path in paths if SUFFIX not in path.name for pair in pairs_of(path)]
     card = dict(read_model(find_model(start), "signals").card)
     weights = float_weights(start, steps=True)
@@ -122,11 +125,11 @@ def finetune(
         name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
         decay=0.99, check_every=CHECK_EVERY, steps=1 << 20, last_rate=0.05,
     )  # fmt: skip
-    began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         run = train(
-            recipe, task, Path(folder) / "run", device, start=weights, seconds=seconds, steps=most,
-            check_first=True, progress=_timed(progress, seconds),
+            recipe, task, Path(folder) / "run", device, start=weights,
+            seconds=max(1.0, seconds - (time.monotonic() - began) - min(LAST, 0.1 * seconds)),
+            steps=most, check_first=True, progress=_timed(progress, seconds, began),
         )  # fmt: skip
         checks = [line for line in run.lines() if "check" in line]
         scores = [line["check"]["score"] for line in checks]
@@ -145,6 +148,8 @@ def finetune(
     }
     export(model, output, card, None, overwrite, half=True)
     spent = time.monotonic() - began
+    if progress is not None:
+        progress(seconds, seconds, "done")
     return {"before": before, "after": after, "steps": float(steps), "seconds": spent}
 
 
@@ -367,13 +372,13 @@ def _planes(image: FloatImage) -> FloatImage:
     return np.ascontiguousarray(image.transpose(2, 0, 1), np.float32)
 
 
-def _timed(progress: Progress | None, seconds: float) -> Any:
-    """Progress by the clock or by steps, whichever ends first."""
+def _timed(progress: Progress | None, seconds: float, began: float) -> Any:
+    """Progress by the clock or by steps, whichever ends first; never more than all of it."""
     if progress is None:
         return None
-    began = time.monotonic()
 
     def report(done: float, total: float, text: str) -> None:
-        progress(max(time.monotonic() - began, seconds * done / total), seconds, text)
+        share = max(time.monotonic() - began, seconds * done / total)
+        progress(min(share, seconds), seconds, text)
 
     return report

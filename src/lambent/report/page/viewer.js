@@ -397,10 +397,13 @@
     event.stopPropagation();
   });
 
-  stage.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
+  // Keys work wherever the focus is but where a person types; arrows scroll the page elsewhere.
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
+    if (event.target.closest("input, select, textarea")) return;
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     if (event.key in arrows) {
+      if (!stage.contains(event.target)) return;
       const step = event.shiftKey ? 1 : Math.max(1, Math.round(32 / scaleNow()));
       const [dx, dy] = arrows[event.key];
       state.marked = true;
