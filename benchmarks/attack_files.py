@@ -1,4 +1,4 @@
-"""The files of `attack.py`: small sound ones of every kind, and what damage and malice make of them.
+"""The files of `attack.py`: small sound ones of every kind, and what damage makes of them.
 
 Each function takes a random generator and nothing else that varies: the same seed, the same bytes.
 """
@@ -157,7 +157,7 @@ def table_start(raw: bytes) -> int:
 # ------------------------------------------------------------------- damaged EXRs
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def seed_exr(compression: str, storage: str) -> bytes:
     """The sound file that mutants come from."""
     return exr(np.random.default_rng(7), compression, storage)
@@ -259,7 +259,7 @@ def _chunk(rng: Rng, content: bytearray, raw: bytes) -> None:
 # ------------------------------------------------------------------- pictures
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def sound_pictures() -> Mapping[str, bytes]:
     """Name with ending -> a sound picture."""
     import tifffile
@@ -380,7 +380,8 @@ def _with_sums(content: bytearray) -> bytearray:
 
 VALUES = (
     None, True, 0, -1, 5, 10**9, 2**63, 10**400, 0.5, -1e30, float("nan"), float("inf"), "", "x",
-    "../../etc/passwd", "é\x1b[2J", [], [1], ["x"], {}, {"a": 1}, [[[]]], {"a": {"b": []}}, "9" * 9999,
+    "../../etc/passwd", "é\x1b[2J", [], [1], ["x"], {}, {"a": 1}, [[[]]], {"a": {"b": []}},
+    "9" * 9999,
 )  # fmt: skip
 
 
@@ -401,7 +402,7 @@ def unpacked_archive(content: bytes) -> tuple[dict[str, Any], dict[str, bytes]]:
     return json.loads(members.pop("card.json")), members
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def photo_model() -> bytes:
     """A sound model of a few operations, for photographs."""
     import openvino
