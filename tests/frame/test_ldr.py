@@ -260,3 +260,23 @@ def test_wrong_names_and_kinds(tmp_path: Path) -> None:
     (tmp_path / "c.png").write_bytes(buffer.getvalue()[:60])
     with pytest.raises(DamagedFileError):
         read(tmp_path / "c.png")
+
+
+@pytest.mark.parametrize("text", ["1v", "nan", "inf", "0", "-2", "1e-99", "1e400", "2 x"])
+def test_an_exposure_that_is_no_factor_is_damage(text: str, tmp_path: Path) -> None:
+    head = f"#?RADIANCE\nEXPOSURE={text}\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n".encode()
+    (tmp_path / "a.hdr").write_bytes(head + bytes([9, 9, 9, 130]))
+    with pytest.raises(DamagedFileError, match="has the exposure"):
+        read(tmp_path / "a.hdr")
+
+
+def test_the_smallest_values_of_an_hdr_come_back() -> None:
+    """Every exponent, and mantissas that do not fill their byte where it is the least one."""
+    exponents = np.arange(1, 256)[:, None]
+    mantissas = np.array([[255, 128, 1], [128, 0, 3]])
+    pixels = np.concatenate(
+        [np.concatenate([np.tile(m, (255, 1)), exponents], 1) for m in mantissas]
+        + [[[n, 0, n // 2, 1] for n in range(1, 256)]]
+    ).astype(np.uint8)
+    np.testing.assert_array_equal(to_rgbe(from_rgbe(pixels)), pixels)
+    assert not to_rgbe(np.zeros((2, 3), np.float32)).any()

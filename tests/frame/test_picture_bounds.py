@@ -36,14 +36,14 @@ def tiff(changes: dict[int, int], image: np.ndarray | None = None, **options) ->
     return head + serialise(tree, "<", len(content))
 
 
-def png(width: int, height: int, bits: int, kind: int) -> bytes:
-    """A PNG of zeros, as well packed as can be: its data are complete."""
-    step = {0: 1, 2: 3, 6: 4}[kind] * bits // 8
+def png(width: int, height: int, bits: int, kind: int, more: bytes = b"") -> bytes:
+    """A PNG of zeros, as well packed as can be: its data are complete. ``more``: chunks."""
+    step = {0: 1, 2: 3, 3: 1, 6: 4}[kind] * bits // 8
     packer = zlib.compressobj(9)
     row = bytes(1 + width * step)
     data = b"".join(packer.compress(row) for _ in range(height)) + packer.flush()
     head = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
-    return MAGIC + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
+    return MAGIC + chunk(b"IHDR", head) + more + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
 def jpeg() -> bytes:
@@ -61,6 +61,10 @@ BOMBS = {
     "tiff-samples": lambda: tiff({277: 65535, 256: 4096, 257: 4096}),
     "tiff-lzw": lambda: tiff({256: SIDE, 257: SIDE, 278: SIDE, 259: 5}),
     "png-8": lambda: png(25_000, 25_000, 8, 0),
+    "png-palette": lambda: png(16_000, 16_000, 8, 3, chunk(b"PLTE", bytes(3))),
+    "png-transparent": lambda: png(
+        13_000, 13_000, 8, 3, chunk(b"PLTE", bytes(3)) + chunk(b"tRNS", b"\0")
+    ),
     "png-16": lambda: png(25_000, 25_000, 16, 0),
     "jpeg": jpeg,
     "hdr": lambda: b"#?RADIANCE\n\n-Y 40000 +X 40000\n" + bytes(100_000),

@@ -119,11 +119,13 @@ def _read_png(content: bytes, path: Path) -> _Read:
     from lambent.frame.png16 import header, read_png16
     from lambent.frame.png_chunks import metadata_of
 
-    if header(content, path)[2] == 16:
+    bits = header(content, path)[2]
+    metadata, notes = metadata_of(content, path)  # checksums too, before anything is decoded
+    if bits == 16:
         pixels: NDArray[Any] = read_png16(content, path)
     else:
         pixels = _decoded(content, path, "PNG")[0]
-    return pixels, *metadata_of(content, path)
+    return pixels, metadata, notes
 
 
 def _read_jpeg(content: bytes, path: Path) -> _Read:
@@ -173,7 +175,9 @@ def _decoded(
     }[kind]
     try:
         with plugin(io.BytesIO(content)) as image:
-            bands = len(image.getbands())
+            # a palette has one band here, and three colours (perhaps alpha) once decoded
+            bands = len(image.getbands()) if image.mode != "P" else 3
+            bands += "transparency" in image.info
             check_declared(image.width, image.height, bands, 4, path, stored=len(content))
             image.load()
             has_alpha = "A" in image.getbands() or "transparency" in image.info

@@ -8,6 +8,7 @@ coding and all orientations, and write the new coding, top row first.
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -39,8 +40,7 @@ def read_hdr(content: bytes, path: object = None) -> NDArray[np.float32]:
     pixels = np.empty((count, length, 4), np.uint8)
     for row in range(count):
         at = _row(content, at, pixels[row], path)
-    exposure = float(np.prod([float(v) for v in header.get(b"EXPOSURE", b"1").split()] or [1.0]))
-    image = from_rgbe(pixels) / np.float32(exposure if exposure > 0 else 1.0)
+    image = from_rgbe(pixels) / _exposure(header.get(b"EXPOSURE", b"1"), path)
     if first[:1] == b"+" if first[1:] == b"Y" else first[:1] == b"-":
         image = image[::-1]
     if second[:1] == b"-" if second[1:] == b"X" else second[:1] == b"+":
@@ -89,14 +89,29 @@ def to_rgbe(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     clean = np.clip(clean, 0.0, np.ldexp(np.float32(255), 127 - 8))
     largest = clean.max(axis=-1, keepdims=True)
     _, exponent = np.frexp(largest)
+    exponent = np.maximum(exponent, -127)  # the least a file holds; mantissas shrink below it
     rounded = np.rint(np.ldexp(largest, 8 - exponent))
     exponent = exponent + (rounded > 255)
     mantissa = np.rint(np.ldexp(clean, 8 - exponent))
     out = np.empty((*image.shape[:-1], 4), np.uint8)
-    visible = largest > 1e-32
+    visible = mantissa.max(axis=-1, keepdims=True) > 0
     out[..., :3] = np.where(visible, mantissa, 0)
     out[..., 3:] = np.where(visible, exponent + 128, 0)
     return out
+
+
+def _exposure(text: bytes, path: object) -> np.float32:
+    """The product of all exposures in the header, by which values were multiplied."""
+    try:
+        factor = math.prod(float(word) for word in text.split())
+    except ValueError:
+        factor = math.nan
+    with np.errstate(over="ignore", under="ignore"):
+        exposure = np.float32(factor)
+    if not (np.isfinite(exposure) and exposure > 0):
+        shown = text[:40].decode("latin-1")
+        raise DamagedFileError(f"has the exposure '{shown}'", file=path, remedy=_REMEDY)
+    return exposure
 
 
 def _header(content: bytes, path: object) -> tuple[dict[bytes, bytes], re.Match[bytes], int]:
