@@ -16,10 +16,15 @@ POLYNOMIAL = (9.57010145e-3, 5.59178603e-2, 2.40247448e-1, 6.93121815e-1, 9.9999
 LOG2_E = 1.4426950408889634
 #: 1.5·2^23: adding it rounds a float to the nearest integer, which then is its low bits.
 ROUND = 12582912.0
+#: No weight is less than 2^-100 (8e-31): enough above the least normal float, 2^-126, that sums of
+#: weighted values keep their digits where every pixel that counts has the least weight.
+LEAST_POWER = -100.0
+#: The same as an exponent of e.
+LEAST = LEAST_POWER / LOG2_E
 
 
 def exp_weight(x: Any) -> Any:
-    """exp(x) for x <= 80 as a weight: relative error below 5e-6, never below 2^-126 (1.2e-38).
+    """exp(x) for x <= 80 as a weight: relative error below 5e-6, never below 2^`LEAST_POWER`.
 
     ``x``: a Dr.Jit ``Float`` of any backend. Not for NaN.
     """
@@ -27,7 +32,7 @@ def exp_weight(x: Any) -> Any:
 
     kind = type(x)
     integer = dr.int32_array_t(kind)
-    y = greater(x * LOG2_E, -126.0)
+    y = greater(x * LOG2_E, LEAST_POWER)
     rounded = y + ROUND
     fraction = y - (rounded - ROUND)
     power: Any = kind(POLYNOMIAL[0])

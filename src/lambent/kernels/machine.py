@@ -173,9 +173,9 @@ class Code:
 
     def exp(self, x: str) -> str:
         """exp(x) as a weight: `lambent.kernels.exponential`."""
-        from lambent.kernels.exponential import LOG2_E, POLYNOMIAL, ROUND
+        from lambent.kernels.exponential import LEAST_POWER, LOG2_E, POLYNOMIAL, ROUND
 
-        y = self.greater(self.op("fmul", x, self.number(LOG2_E)), self.number(-126.0))
+        y = self.greater(self.op("fmul", x, self.number(LOG2_E)), self.number(LEAST_POWER))
         rounded = self.op("fadd", y, self.number(ROUND))
         fraction = self.op("fsub", y, self.op("fsub", rounded, self.number(ROUND)))
         power = self.number(POLYNOMIAL[0])

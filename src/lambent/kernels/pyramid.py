@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.kernels.arrays import FloatImage, aligned
+from lambent.kernels.exponential import LEAST
 from lambent.kernels.machine import LANES, Code, Kernel, available
 
 #: Taps of a level's own window (5x5), and of the coarser level's (3x3).
@@ -37,7 +38,7 @@ OWN, COARSE = 25, 9
 NEAR = 9
 #: float32, or the upper halves of float32 in uint16.
 Logits = NDArray[Any]
-#: Keeps a division by no weight finite; below e^-80, which a border pixel may be left with.
+#: Keeps a division by no weight finite; nothing beside the least weight (`exponential.LEAST`).
 TINY = 1e-37
 #: Empty columns left and right of a plane, and rows above and below.
 _LEFT, _RIGHT, _ROWS = LANES, 3 * LANES, 2
@@ -492,7 +493,7 @@ def _averaged(
     """Equations (2) and (3) of one level: ``z`` ``(K, H, W)``, ``c`` ``(C, H, W)``, masks."""
     own = side * side
     taps = own if coarse is None else own + COARSE
-    e = np.exp(z[:taps] - z[:taps].max(axis=0))
+    e = _weights(z[:taps], z[:taps].max(axis=0))
     total, sums = np.zeros_like(m), np.zeros_like(c)
     for k in range(taps):
         if k < own:
@@ -527,7 +528,7 @@ def weights_at(logits: Sequence[Logits], mask: FloatImage, x: int, y: int) -> Fl
         for (py, px), share in asked.items():
             z = level[: OWN if last else OWN + COARSE, py, px]
             taps: list[tuple[bool, int, int, float]] = []
-            for k, weight in enumerate(np.exp(z - z.max())):
+            for k, weight in enumerate(_weights(z, z.max())):
                 if k < OWN:
                     at, there = (py + k // 5 - 2, px + k % 5 - 2), m
                 else:
@@ -552,6 +553,10 @@ def weights_at(logits: Sequence[Logits], mask: FloatImage, x: int, y: int) -> Fl
     return np.asarray(found, np.float32)
 
 
+def _weights(logits: FloatImage, highest: FloatImage) -> FloatImage:
+    return np.exp(np.maximum(logits - highest, np.float32(LEAST)))
+
+
 def _unpacked(logits: Sequence[Logits]) -> list[FloatImage]:
     """Logits ``(K, H, W)`` of every level, as float32; the finest comes folded."""
     floats = [as_floats(level) for level in logits]
@@ -564,7 +569,7 @@ def _unpacked(logits: Sequence[Logits]) -> list[FloatImage]:
 def _going_down(level: FloatImage, mask: FloatImage) -> FloatImage:
     """What each pixel counts in the one below, ``(H/2, 2, W/2, 2)``, not yet of sum 1."""
     u = _cells(level[OWN + COARSE])
-    return np.asarray(np.exp(u - u.max(axis=(1, 3), keepdims=True)) * _cells(mask))
+    return np.asarray(_weights(u, u.max(axis=(1, 3), keepdims=True)) * _cells(mask))
 
 
 def _cells(plane: FloatImage) -> FloatImage:

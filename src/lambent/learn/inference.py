@@ -19,7 +19,8 @@ from lambent.denoise.inputs import OFFSET
 from lambent.denoise.views import turned_inputs, turned_outputs
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
-from lambent.kernels.pyramid import TINY
+from lambent.kernels.exponential import LEAST
+from lambent.kernels.pyramid import COARSE, OWN, TINY
 from lambent.learn.export import float_weights
 from lambent.learn.networks.kernel_pyramid import LOGITS, average, cells, near
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
@@ -100,7 +101,7 @@ def masked(logits: Sequence[Tensor], image: Tensor, mask: Tensor) -> Tensor:
     images, masks = [image * mask], [mask]
     for number, level in enumerate(logits[:-1]):
         u = cells(level, packed=number == 0)
-        e = torch.exp(u - u.amax((3, 5), keepdim=True)) * _folded(masks[-1])
+        e = torch.exp((u - u.amax((3, 5), keepdim=True)).clamp_min(LEAST)) * _folded(masks[-1])
         total = e.sum((3, 5)) + TINY
         images.append((_folded(images[-1]) * e).sum((3, 5)) / total)
         masks.append(F.max_pool2d(masks[-1], 2))
@@ -108,10 +109,20 @@ def masked(logits: Sequence[Tensor], image: Tensor, mask: Tensor) -> Tensor:
     for number in range(len(logits) - 1, -1, -1):
         own = torch.cat([images[number], masks[number]], 1)
         above = None if out is None else torch.cat([out, masks[number + 1]], 1)
-        both = average(logits[number], own, above, packed=number == 0)
+        packed, taps = number == 0, OWN if above is None else OWN + COARSE
+        both = average(_floored(logits[number], taps, packed), own, above, packed)
         out = both[:, :-1] / (both[:, -1:] + TINY) * masks[number]
     assert out is not None
     return out
+
+
+def _floored(logits: Tensor, taps: int, packed: bool) -> Tensor:
+    """The logits of the taps, none more than `LEAST` below the highest: as the kernels have it."""
+    b, _, h, w = logits.shape
+    count = taps * (4 if packed else 1)
+    own = logits[:, :count].reshape(b, taps, -1, h, w)
+    own = torch.maximum(own, own.amax(1, keepdim=True) + LEAST)
+    return torch.cat([own.flatten(1, 2), logits[:, count:]], 1)
 
 
 def _folded(image: Tensor) -> Tensor:
