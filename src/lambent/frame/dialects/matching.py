@@ -275,9 +275,9 @@ def _from_rule(
     if spp:
         why = f"{why}; divided by {spp} spp to be that of the mean"
         return replace(found, scale=1.0 / spp, why=why), ""
-    why = f"{why}; not used: the header does not tell the samples per pixel"
+    why = f"{why}; not used: the header does not hold the samples per pixel"
     note = (
-        f"'{image.name}' holds the variance of single samples; tell the samples per pixel "
+        f"'{image.name}' holds the variance of single samples; name the samples per pixel "
         "(--spp) to have it used"
     )
     return replace(found, role=Role.OTHER, stat=Stat.MEAN, space=Space.NONE, why=why), note
