@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.errors import OptionError, UnknownNameError, by_interrupt
+from lambent.errors import OptionError, by_interrupt
 from lambent.phases import Phases
 from lambent.render.scene import LoadedScene
 from lambent.transport.diffuse import assumptions
+from lambent.transport.methods import Progress, Watch
 from lambent.transport.radiosity import adaptive, light
 from lambent.transport.radiosity.balance import balanced, symmetric
 from lambent.transport.radiosity.casting import cast, gathered
 from lambent.transport.radiosity.patches import Patches, cluster, size_for, uniform
 from lambent.transport.radiosity.probe import Probe
+from lambent.transport.radiosity.settings import Settings
 from lambent.transport.radiosity.solution import RadiositySolution, digest_of
-from lambent.transport.radiosity.solvers import SOLVERS, Equation, History, run
+from lambent.transport.radiosity.solvers import Equation, History, run
 from lambent.transport.surfaces import Array, Surfaces, surfaces_of
 
 #: Rays with which faces that light never reaches are told from the others.
@@ -36,58 +37,13 @@ PEEKS = 16
 #: Rounds of refinement; each but the last adds half of what is left.
 ROUNDS = 4
 
-Progress = Callable[[float, float, str], None]
-Watch = Callable[[RadiositySolution], None]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a person can choose.
-
-    ``patches``: about so many; or ``size``: their length in the scene's unit. ``rays`` from each
-    face for the form factors; ``factors``: "rays" or "pairs" (`lambent.transport.radiosity.pairs`).
-    ``direct``: light straight from emitters by ``samples`` of them for each face, or "factors",
-    through F like all other light: the textbook's B = (I - ρF)⁻¹ E, which knows no environment and
-    no points, and needs many rays where a lamp is small. ``adaptive``: cut finer where the picture
-    changes.
-    ``tolerance``: of the residual, relative; ``steps``, ``seconds``: the most for the solver.
-    """
-
-    patches: int = 4000
-    size: float | None = None
-    solver: str = "cg"
-    factors: str = "rays"
-    rays: int = 256
-    samples: int = 512
-    direct: str = "samples"
-    adaptive: bool = False
-    tolerance: float = 1e-6
-    steps: int = 1000
-    seconds: float | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.solver not in SOLVERS:
-            raise UnknownNameError("solver", self.solver, SOLVERS)
-        if self.factors not in ("rays", "pairs"):
-            raise UnknownNameError("kind of form factors", self.factors, ("rays", "pairs"))
-        if self.direct not in ("samples", "factors"):
-            raise UnknownNameError("kind of direct light", self.direct, ("samples", "factors"))
-        for name in ("patches", "rays", "samples", "steps"):
-            if getattr(self, name) < 1:
-                raise OptionError(f"{name} must be 1 or more, not {getattr(self, name)}")
-        if not 0 < self.tolerance < 1:
-            raise OptionError(f"a tolerance of {self.tolerance:g} cannot be reached or is none")
-        if self.factors == "pairs" and self.solver == "matrix-free":
-            raise OptionError("the matrix-free solver casts rays", remedy="take --solver cg")
-
 
 def solve(
     loaded: LoadedScene,
     settings: Settings,
     start: RadiositySolution | None = None,
     progress: Progress | None = None,
-    watch: Watch | None = None,
+    watch: Watch[RadiositySolution] | None = None,
 ) -> RadiositySolution:
     """The radiosity of a loaded scene.
 
@@ -109,7 +65,7 @@ class _Work:
     loaded: LoadedScene
     settings: Settings
     progress: Progress
-    watch: Watch | None
+    watch: Watch[RadiositySolution] | None
 
     def __post_init__(self) -> None:
         self.scene = self.loaded.scene
