@@ -69,7 +69,7 @@ class Effort:
         spp = self.spp
         if isinstance(spp, str):
             text = spp.removeprefix("+")
-            if not text.isdigit() or int(text) < 1:
+            if not text.isdigit():
                 raise OptionError(
                     f"'{spp}' is no number of samples a pixel",
                     remedy="take --spp 64, or --spp +64",
