@@ -60,6 +60,15 @@ def test_what_is_written_is_read_with_the_same_roles(scene, tmp_path):
         np.testing.assert_array_equal(read.layers[key].data, layer.data, err_msg=str(key))
 
 
+def test_an_option_that_is_none_is_named(scene):
+    with pytest.raises(TypeError, match="'sppp'"):
+        lambent.render(scene, sppp=8)
+    assert Effort(spp="+8").goal(16).spp == 24
+    assert Effort(spp="8").goal(16).spp == 8
+    assert Effort().goal().spp == 64
+    assert Effort(time=1.0).goal().spp is None
+
+
 def test_a_picture_is_topped_up_and_never_begun_again(scene, tmp_path):
     out = tmp_path / "out.exr"
     first = lambent.render(scene, out, spp=8)
