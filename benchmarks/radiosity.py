@@ -124,7 +124,8 @@ def accuracy(arguments):
     mi = mitsuba()
     from lambent.frame.role import Role, Stat
     from lambent.render.sampling import FrameSampler
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
 
@@ -203,7 +204,8 @@ def one(arguments):
     from lambent.transport.scene import load_for_light
 
     loaded = load_for_light(arguments.scene)
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
 
     start = time.perf_counter()
     found = solve(loaded, Settings(patches=arguments.count, solver=arguments.solvers[0],
@@ -225,7 +227,8 @@ def views(arguments):
     import lambent
     from lambent.frame.role import Role, Stat
     from lambent.render.sampling import FrameSampler
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
 

@@ -53,7 +53,8 @@ def traced(loaded: Any, spp: int) -> Any:
 
 def room(scenes: Path) -> None:
     """The Cornell box in four ways."""
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
 
@@ -68,7 +69,8 @@ def room(scenes: Path) -> None:
 
 def growing(scenes: Path) -> None:
     """Progressive refinement, after so many shots."""
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
 
@@ -87,7 +89,8 @@ def growing(scenes: Path) -> None:
 
 def living(scenes: Path) -> None:
     """A furnished room lit through its windows."""
-    from lambent.transport.radiosity.solve import Settings, solve
+    from lambent.transport.radiosity.settings import Settings
+    from lambent.transport.radiosity.solve import solve
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
 

@@ -4,6 +4,9 @@
 have their types; `record_from` makes a frozen dataclass of a table: recipes of data sets and of
 training. There, unknown keys are errors, answered with the nearest known one; every value has the
 type of its field and lies in its range.
+
+A frozen dataclass can also carry its own ranges and help: fields made by `setting`, read by
+`settings_of` (the command line makes its options of them) and checked by `check_settings`.
 """
 
 from __future__ import annotations
@@ -11,16 +14,17 @@ from __future__ import annotations
 import difflib
 import importlib
 import json
+import math
 import stat
 import sys
 import types
 import typing
-from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
-from lambent.errors import DamagedFileError, FileError, OptionError
+from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
 
 #: Field, lowest and highest value (of each entry, where it is a list).
 Range = tuple[str, float, float]
@@ -166,6 +170,46 @@ def check_ranges(record: Any, ranges: Sequence[Range]) -> None:
                     f"{name} = {number} is out of range",
                     remedy=f"take a value from {low:g} to {high:g}",
                 )
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a field of a settings dataclass is for.
+
+    ``low`` and ``high``: its range. ``choices``: the names that it may have. ``option``: its name
+    on the command line, where that is not the field's own. ``resumed``: in work that is gone on
+    with it is "fixed", "kept" unless another value is given, or chosen "anew" each time.
+    """
+
+    help: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: Collection[str] = ()
+    option: str = ""
+    metavar: str = "N"
+    resumed: Literal["fixed", "kept", "anew"] = "fixed"
+
+
+def setting(default: Any, help: str, **more: Any) -> Any:
+    """A dataclass field with a `Setting`, made from ``help`` and ``more``."""
+    return field(default=default, metadata={"setting": Setting(help, **more)})
+
+
+def settings_of(kind: type) -> dict[str, tuple[Any, Setting]]:
+    """Name -> type and `Setting` of every field made by `setting`."""
+    hints = typing.get_type_hints(kind)
+    found = ((f.name, f.metadata.get("setting")) for f in fields(kind))
+    return {name: (hints[name], about) for name, about in found if about is not None}
+
+
+def check_settings(record: Any) -> None:
+    """Raise `UnknownNameError` for a name that is no choice, `OptionError` for a wrong number."""
+    for name, (_, about) in settings_of(type(record)).items():
+        value = getattr(record, name)
+        if about.choices and value not in about.choices:
+            raise UnknownNameError(name, value, about.choices)
+        if isinstance(value, (int, float)):
+            check_ranges(record, [(name, about.low, about.high)])
 
 
 def _typed(key: str, value: Any, kind: Any, file: object) -> Any:

@@ -52,8 +52,9 @@ def test_a_scene_file_may_name_it(tmp_path):
     np.testing.assert_allclose(image[..., :3], 1.0, rtol=1e-5)
     notes: list[str] = []
     from lambent.render.job import render_all
+    from lambent.render.options import Effort, Listeners
 
-    (done,) = render_all(path, spp=2, note=notes.append)
+    (done,) = render_all(path, effort=Effort(spp=2), listeners=Listeners(note=notes.append))
     np.testing.assert_allclose(done.frame.colour, 1.0, rtol=1e-5)
     assert not any("integrator" in note for note in notes)
 

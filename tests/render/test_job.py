@@ -10,6 +10,7 @@ from lambent.errors import DamagedFileError, FileError, OptionError, OutputError
 from lambent.frame.role import Role, Stat
 from lambent.render.accumulate import Goal, pass_seed, stamp_of
 from lambent.render.job import render_all
+from lambent.render.options import Effort, Listeners, Output, Shot
 
 SCENE = """<scene version="3.0.0">
 <integrator type="path"><integer name="max_depth" value="4"/></integrator>
@@ -31,6 +32,10 @@ def scene(tmp_path):
     path = tmp_path / "still.xml"
     path.write_text(SCENE.format(filter="box", light=1.0))
     return path
+
+
+def frames(scene, pattern, numbers, **output):
+    return render_all(scene, Shot(frames=numbers), Effort(spp=2), Output(str(pattern), **output))
 
 
 def test_a_frame_with_every_layer(scene):
@@ -55,12 +60,21 @@ def test_what_is_written_is_read_with_the_same_roles(scene, tmp_path):
         np.testing.assert_array_equal(read.layers[key].data, layer.data, err_msg=str(key))
 
 
+def test_an_option_that_is_none_is_named(scene):
+    with pytest.raises(TypeError, match="'sppp'"):
+        lambent.render(scene, sppp=8)
+    assert Effort(spp="+8").goal(16).spp == 24
+    assert Effort(spp="8").goal(16).spp == 8
+    assert Effort().goal().spp == 64
+    assert Effort(time=1.0).goal().spp is None
+
+
 def test_a_picture_is_topped_up_and_never_begun_again(scene, tmp_path):
     out = tmp_path / "out.exr"
     first = lambent.render(scene, out, spp=8)
     with pytest.raises(OutputError, match="exists already"):
         lambent.render(scene, out, spp=16)
-    (result,) = render_all(scene, out, spp="+8", resume=True)
+    (result,) = render_all(scene, effort=Effort(spp="+8"), output=Output(out, resume=True))
     assert (result.began_with, result.frame.spp) == (8, 16)
     # The first samples are in there: (8·first + 8·more)/16, so twice the whole less the first is
     # an independent render of 8 spp.
@@ -69,7 +83,7 @@ def test_a_picture_is_topped_up_and_never_begun_again(scene, tmp_path):
     assert more.min() > -1e-4
     ratio = result.frame["colour.variance"].mean() / first["colour.variance"].mean()
     assert 0.35 < ratio < 0.7
-    (again,) = render_all(scene, out, spp=16, resume=True)
+    (again,) = render_all(scene, effort=Effort(spp=16), output=Output(out, resume=True))
     assert again.skipped
 
 
@@ -127,14 +141,14 @@ def test_pictures_of_other_scenes_and_of_other_programs_are_refused(scene, tmp_p
 
 
 def test_an_error_ends_the_render(scene):
-    (rough,) = render_all(scene, target_error=0.05, spp=512)
-    (fine,) = render_all(scene, target_error=0.001, spp=512)
+    (rough,) = render_all(scene, effort=Effort(target_error=0.05, spp=512))
+    (fine,) = render_all(scene, effort=Effort(target_error=0.001, spp=512))
     assert rough.frame.spp < fine.frame.spp
     assert fine.frame.spp >= 8
 
 
 def test_time_ends_the_render(scene):
-    (result,) = render_all(scene, time=0.5)
+    (result,) = render_all(scene, effort=Effort(time=0.5))
     assert result.frame.spp >= 1
 
 
@@ -153,7 +167,7 @@ def test_passes_have_random_numbers_of_their_own():
 def test_splatted_filters_are_told_and_not_used(scene):
     scene.write_text(SCENE.format(filter="gaussian", light=1.0))
     notes: list[str] = []
-    render_all(scene, spp=2, note=notes.append)
+    render_all(scene, effort=Effort(spp=2), listeners=Listeners(note=notes.append))
     assert any("gaussian filter" in n and "box filter" in n for n in notes)
 
 
@@ -163,7 +177,7 @@ def test_frames_come_with_motion(scene, tmp_path):
         "translate = [[0, 0, 0], [1, 0, 0]]\n"
     )
     pattern = str(tmp_path / "shot.####.exr")
-    done = render_all(scene, pattern, spp=2, frames=(1, 2, 3))
+    done = frames(scene, pattern, (1, 2, 3))
     assert [r.path.name for r in done] == ["shot.0001.exr", "shot.0002.exr", "shot.0003.exr"]
     first, second = done[0].frame, lambent.read(done[1].path)
     assert np.abs(first[Role.MOTION]).max() < 1e-3
@@ -172,7 +186,7 @@ def test_frames_come_with_motion(scene, tmp_path):
     assert mask.role is Role.ID
     assert set(np.unique(mask.data)) == {0.0, 1.0}
     before = {r.path: r.path.read_bytes() for r in done}
-    again = render_all(scene, pattern, spp=2, frames=(1, 2, 3), resume=True)
+    again = frames(scene, pattern, (1, 2, 3), resume=True)
     assert all(r.skipped for r in again)
     assert all(path.read_bytes() == content for path, content in before.items())
 
@@ -182,10 +196,10 @@ def test_a_later_part_of_a_shot_has_the_same_motion(scene, tmp_path):
         'frames = [1, 3]\n[[object]]\nshape = "ball"\nat = [1, 3]\n'
         "translate = [[0, 0, 0], [1, 0, 0]]\nscale = 1.5\n"
     )
-    whole = render_all(scene, str(tmp_path / "a.####.exr"), spp=2, frames=(1, 2, 3))
-    render_all(scene, str(tmp_path / "b.####.exr"), spp=2, frames=(1,))
-    later = render_all(scene, str(tmp_path / "b.####.exr"), spp=2, frames=(2, 3))
-    alone = render_all(scene, str(tmp_path / "c.####.exr"), spp=2, frames=(2,))
+    whole = frames(scene, tmp_path / "a.####.exr", (1, 2, 3))
+    frames(scene, tmp_path / "b.####.exr", (1,))
+    later = frames(scene, tmp_path / "b.####.exr", (2, 3))
+    alone = frames(scene, tmp_path / "c.####.exr", (2,))
     for one, other in zip(whole[1:], later, strict=True):
         np.testing.assert_array_equal(one.frame[Role.MOTION], other.frame[Role.MOTION])
         np.testing.assert_array_equal(
@@ -194,7 +208,7 @@ def test_a_later_part_of_a_shot_has_the_same_motion(scene, tmp_path):
         )
     np.testing.assert_array_equal(whole[1].frame[Role.MOTION], alone[0].frame[Role.MOTION])
     assert "disocclusion_mask" not in alone[0].frame.extras  # nothing is known of frame 1
-    gap = render_all(scene, str(tmp_path / "d.####.exr"), spp=2, frames=(1, 3))
+    gap = frames(scene, tmp_path / "d.####.exr", (1, 3))
     np.testing.assert_array_equal(gap[1].frame[Role.MOTION], whole[2].frame[Role.MOTION])
     assert "disocclusion_mask" not in gap[1].frame.extras  # nor of 2: 1 is not the one before
 
@@ -209,7 +223,7 @@ def test_a_later_part_of_a_shot_has_the_same_motion(scene, tmp_path):
 def test_what_cycles_cannot_do_is_refused(tmp_path, option):
     name = "spp" if "spp" in option else next(iter(option)).replace("_", "-")
     with pytest.raises(OptionError, match=name):
-        render_all(tmp_path / "kitchen.blend", **option)
+        lambent.render(tmp_path / "kitchen.blend", **option)
 
 
 # ------------------------------------------------------------------- bad input

@@ -38,7 +38,7 @@ COMMANDS = {
     "explain": "Show the weights with which a filter averages around one pixel.",
     "train": "Train a denoiser, or fine-tune one to your own renders.",
     "render": "Render a Mitsuba scene or a .blend, with every feature.",
-    "solve": "Solve the light of a scene once, by radiosity.",
+    "solve": "Solve the light of a scene once, to look at it from anywhere.",
     "view": "Look at a solved scene: pictures, films, meshes, lightmaps.",
     "models": "List the denoisers: what they need, cost, and which paper they are from.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
@@ -67,6 +67,10 @@ class LazyCommands(TyperGroup):
             for one in found.registered_commands:
                 _look_at_no_file(one.callback)
             return typer.main.get_command(found)
+        if hasattr(module, "settings_kinds"):
+            from lambent.cli.options import with_settings
+
+            found = with_settings(found, module.settings_kinds())
         _look_at_no_file(found)
         single = typer.Typer(
             add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False

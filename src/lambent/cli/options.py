@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import os
-from collections.abc import Iterable
+import typing
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -85,6 +88,63 @@ PluginsOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else there.")
 ]
+
+
+def with_settings(command: Callable[..., Any], kinds: Iterable[type]) -> Callable[..., Any]:
+    """A command that takes ``**settings``, with an option for each setting of ``kinds``.
+
+    ``kinds``: dataclasses of `lambent.settings.setting`; where two have a setting of one name, it
+    is one option, with the words of the first. What is not given is not passed on.
+    """
+    from lambent.settings import settings_of
+
+    own = inspect.signature(command).parameters
+    hints = typing.get_type_hints(command, include_extras=True)
+    hints = {name: hints[name] for name in own if name != "settings"}
+    defaults = {name: own[name].default for name in hints}
+    for kind in kinds:
+        for name, (wanted, about) in settings_of(kind).items():
+            if name in hints:
+                continue
+            default = getattr(kind, name)
+            words = about.help
+            if about.choices and about.metavar == "NAME":
+                words += f" One of {', '.join(about.choices)}."
+            if default not in (None, False):
+                words += (
+                    f" Default: {default:,}." if type(default) is int else f" Default: {default}."
+                )
+            option = typer.Option(
+                about.option or f"--{name.replace('_', '-')}", metavar=about.metavar, help=words,
+                autocompletion=_completing(about.choices),
+            )  # fmt: skip
+            hints[name] = Annotated[wanted | None, option]
+            defaults[name] = None
+
+    @functools.wraps(command)
+    def run(**values: Any) -> Any:
+        fixed = {name: value for name, value in values.items() if name in own}
+        chosen = {k: v for k, v in values.items() if k not in own and v is not None}
+        return command(**fixed, **chosen)
+
+    run.__annotations__ = hints
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=hint
+            )
+            for name, hint in hints.items()
+        ]
+    )
+    return run
+
+
+def _completing(choices: Iterable[str]) -> Callable[[str], list[tuple[str, str]]] | None:
+    """For the shell: the choices of a setting; those of a mapping with their words."""
+    if not choices:
+        return None
+    words = dict(choices) if isinstance(choices, Mapping) else dict.fromkeys(choices, "")
+    return lambda incomplete: [(n, w) for n, w in words.items() if n.startswith(incomplete)]
 
 
 def pairs(option: str, texts: Iterable[str] | None) -> dict[str, str]:

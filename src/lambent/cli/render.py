@@ -125,6 +125,7 @@ def render(
     from lambent.cli.options import definitions, light_groups, size_of
     from lambent.frame.sequence import parse_range
     from lambent.render.job import frames_of, render_all
+    from lambent.render.options import Effort, Listeners, Output, Shot
     from lambent.render.plugins import allow
 
     allow(allow_plugins or ())
@@ -156,28 +157,22 @@ def render(
         progress.report(0, 1, "loading and compiling")
         done = render_all(
             scene,
-            target,
-            spp=int(spp) if spp is not None and spp.isdigit() else spp,
-            time=time,
-            target_error=target_error,
-            size=size_of(size),
-            frames=numbers,
-            camera=camera,
-            features=features,
-            depth=depth,
-            seed=seed,
-            integrator=integrator,
-            light_groups=light_groups(light_group),
-            animation=None if animation is None else str(animation),
-            parameters=definitions(define),
-            resume=resume,
-            overwrite=overwrite,
-            checkpoint=checkpoint,
-            device=device,
-            report=tell,
-            report_cycles=progress.report,
-            note=note,
-            written=keep,
+            Shot(
+                size=size_of(size),
+                camera=camera,
+                features=features,
+                depth=depth,
+                seed=seed,
+                integrator=integrator,
+                light_groups=light_groups(light_group),
+                parameters=definitions(define),
+                device=device,
+                frames=numbers,
+                animation=animation,
+            ),
+            Effort(spp, time, target_error),
+            Output(target, resume, overwrite, checkpoint),
+            Listeners(tell, progress.report, note, keep),
         )
     page.finish(done[0])
     if as_json:

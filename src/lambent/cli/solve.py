@@ -1,8 +1,8 @@
 """Solve the light of a scene once; `lambent view` then shows it from anywhere.
 
-SCENE is a Mitsuba scene (.xml). By radiosity: surfaces are cut into patches, taken as diffuse, and
-the light between them is solved for, bounces without end. Materials that are not diffuse are taken
-for what they are nearest to, and named. Ctrl-C keeps the solution so far; --resume goes on.
+SCENE is a Mitsuba scene (.xml). What a method cannot show of it, such as materials that are not
+diffuse, is taken for what it is nearest to, and named. Ctrl-C keeps the solution so far; --resume
+goes on.
 """
 
 from __future__ import annotations
@@ -13,23 +13,39 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
-from lambent.cli.progress import Progress, show_seconds
+from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
-    from lambent.render.scene import LoadedScene
+    from lambent.report.solving import SolvingPage
+    from lambent.transport.solution import Solution
 
 EPILOG = (
     "Examples: lambent solve scene.xml -o room.lambent; "
-    "lambent solve scene.xml --patches 64000 --adaptive --report -o room.lambent"
+    "lambent solve scene.xml --time 60 --report -o room.lambent"
 )
 
 
-def complete_solvers(incomplete: str) -> list[tuple[str, str]]:
-    """For the shell: names of solvers, with what they are good for."""
-    from lambent.transport.radiosity.solvers import SOLVERS
+def complete_methods(incomplete: str) -> list[tuple[str, str]]:
+    """For the shell: names of methods, with what they do."""
+    from lambent.transport.methods import METHODS
 
-    return [(n, words) for n, (_, words) in SOLVERS.items() if n.startswith(incomplete)]
+    return [(n, METHODS[n].title) for n in METHODS if n.startswith(incomplete)]
+
+
+def methods_help() -> str:
+    """The methods, with what they do."""
+    from lambent.transport.methods import DEFAULT_METHOD
+
+    names = "; ".join(f"{name}, {title}" for name, title in complete_methods(""))
+    return f"{names}. Default: {DEFAULT_METHOD}."
+
+
+def settings_kinds() -> list[type]:
+    """The settings of all methods: each becomes an option."""
+    from lambent.transport.methods import METHODS
+
+    return [method.settings for method in METHODS.values()]
 
 
 def solve(
@@ -43,55 +59,10 @@ def solve(
             help="Where to write. Default: SCENE.lambent here, for a scene.xml its folder's name.",
         ),
     ] = None,
-    method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",
-    patches: Annotated[
-        int | None, typer.Option("--patches", metavar="N", help="About so many patches (4000).")
-    ] = None,
-    patch_size: Annotated[
-        float | None,
-        typer.Option("--patch-size", metavar="S", help="Their length in the scene's unit instead."),
-    ] = None,
-    adaptive: Annotated[
-        bool | None, typer.Option("--adaptive", help="Cut finer where the picture changes.")
-    ] = None,
-    solver: Annotated[
+    method: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="cg (default), direct, jacobi, gauss-seidel, southwell, least-squares, "
-            "matrix-free.",
-            autocompletion=complete_solvers,
-        ),
+        typer.Option(metavar="NAME", help=methods_help(), autocompletion=complete_methods),
     ] = None,
-    factors: Annotated[
-        str | None,
-        typer.Option(metavar="rays|pairs", help="Form factors by rays (default), or pair by pair."),
-    ] = None,
-    rays: Annotated[
-        int | None, typer.Option(metavar="N", help="Rays from every patch (256).")
-    ] = None,
-    samples: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Samples of the emitters for every patch (512)."),
-    ] = None,
-    direct: Annotated[
-        str | None,
-        typer.Option(
-            metavar="samples|factors",
-            help="Light straight from emitters: sampled (default), or through F.",
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="End at this residual, relative to the first light (1e-6)."),
-    ] = None,
-    steps: Annotated[
-        int | None, typer.Option(metavar="N", help="Most steps of the solver (1000).")
-    ] = None,
-    time: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Most time for the solver.")
-    ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of the random numbers.")] = None,
     define: Annotated[
         list[str] | None,
         typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
@@ -108,6 +79,7 @@ def solve(
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
+    **settings: Any,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.cli.options import definitions
@@ -118,15 +90,12 @@ def solve(
     allow(allow_plugins or ())
 
     target = output or Path(_default_name(scene))
-    given = {
-        "patches": patches, "size": patch_size, "adaptive": adaptive, "solver": solver,
-        "factors": factors, "rays": rays, "samples": samples, "direct": direct,
-        "tolerance": tolerance, "steps": steps, "seconds": time, "seed": seed,
-    }  # fmt: skip
     page = None
     if report:
+        from lambent.report.solving import SolvingPage
+
         path = check_target(target.with_suffix(".html"), overwrite or resume)
-        page = _Page(scene, path, definitions(define))
+        page = SolvingPage(scene, path, definitions(define))
     with Progress(scene.name, quiet=as_json) as progress:
         progress.report(0, 1, "loading the scene")
         solution = run(
@@ -139,13 +108,13 @@ def solve(
             parameters=definitions(define),
             progress=progress.report,
             watch=page.show if page is not None else None,
-            **{name: value for name, value in given.items() if value is not None},
+            **settings,
         )
         if page is not None:
             progress.report(1, 1, "writing the page")
             page.finish(solution)
     if as_json:
-        print_json(_as_dict(solution, target))
+        print_json({"path": str(target), **solution.numbers()})
     else:
         _print(solution, target, page)
     if solution.interrupted:
@@ -156,89 +125,16 @@ def solve(
 # ------------------------------------------------------------------- private
 
 
-class _Page:
-    """The report, written again while the light grows; the solver says how often."""
-
-    def __init__(self, scene: Path, path: Path, parameters: dict[str, str]) -> None:
-        self.scene, self.path, self.parameters = scene, path, parameters
-        self.loaded: LoadedScene | None = None
-        self.views: dict[str, Any] = {}
-        self.pictures: list[tuple[int, Any]] = []
-
-    def show(self, solution: Any) -> None:
-        """After a step of the solver."""
-        self._write(solution, running=True)
-
-    def finish(self, solution: Any) -> None:
-        """With the final pictures, and no more reloading; after Ctrl-C without new ones."""
-        if solution.interrupted and not self.pictures:
-            return
-        self._write(solution, running=False)
-
-    def _write(self, solution: Any, running: bool) -> None:
-        from lambent.report.solving import write_solving
-        from lambent.transport.scene import load_for_light
-        from lambent.transport.solution import picture
-        from lambent.transport.surfaces import surfaces_of
-
-        if self.loaded is None:
-            self.loaded = load_for_light(self.scene, parameters=self.parameters)
-            width, height = self.loaded.sensor.film().crop_size()
-            scale = min(1.0, 640 / max(width, height))
-            size = max(1, round(width * scale)), max(1, round(height * scale))
-            self.loaded = load_for_light(self.scene, parameters=self.parameters, size=size)
-            self.surfaces = surfaces_of(self.loaded.scene)
-        kinds = ["smooth"] if running else ["smooth", "mesh", "irradiance", "residual"]
-        made = {}
-        if solution.interrupted:
-            kinds, made = [], {"smooth": self.pictures[-1][1]}
-        for kind in kinds:
-            if kind in self.views:
-                self.views[kind].update(solution)
-            else:
-                self.views[kind] = solution.integrator(kind)
-            shown = picture(self.views[kind], self.loaded, spp=8, features="none")
-            made[kind] = shown.colour
-        if not solution.interrupted:
-            self.pictures.append((len(solution.history.steps), made["smooth"]))
-        write_solving(
-            self.path, self.scene.name, solution, made, self.pictures,
-            balance=solution.balance(self.surfaces), areas=solution.patches_on(self.surfaces).area,
-            running=running,
-        )  # fmt: skip
-
-
 def _default_name(scene: Path) -> str:
     stem = scene.parent.resolve().name if scene.stem == "scene" else scene.stem
     return f"{stem}.lambent"
 
 
-def _print(solution: Any, target: Path, page: _Page | None) -> None:
+def _print(solution: Solution, target: Path, page: SolvingPage | None) -> None:
     say(target)
-    history = solution.history
-    residual = history.residuals[-1] if history.residuals else float("nan")
-    spent = ", ".join(f"{name} {show_seconds(s)}" for name, s in solution.seconds.items())
-    say(f"  holds    {len(solution):,} patches; {int(solution.live.sum()):,} faces see light")
-    say(f"  solved   {len(history.steps)} steps, residual {residual:.1e}; {spent}")
-    if solution.error is not None:
-        rays = solution.settings["rays"]
-        say(f"  error    {100 * solution.error:.1f} % of a patch's indirect light ({rays} rays)")
-    for note in solution.notes:
-        say(f"  note     {note}")
+    lines = [*solution.facts().items(), *(("note", note) for note in solution.notes)]
     if page is not None:
-        say(f"  report   {page.path}")
-    say(f"  look     lambent view {target} -o view.png")
-
-
-def _as_dict(solution: Any, target: Path) -> dict[str, Any]:
-    return {
-        "path": str(target),
-        "patches": len(solution),
-        "live_faces": int(solution.live.sum()),
-        "steps": len(solution.history.steps),
-        "residual": solution.history.residuals[-1] if solution.history.residuals else None,
-        "seconds": solution.seconds,
-        "error": solution.error,
-        "interrupted": solution.interrupted,
-        "notes": list(solution.notes),
-    }
+        lines.append(("report", str(page.path)))
+    lines.append(("look", f"lambent view {target} -o view.png"))
+    for name, text in lines:
+        say(f"  {name:<8} {text}")

@@ -18,6 +18,7 @@ from lambent.cli.terminal import say
 
 if TYPE_CHECKING:
     from lambent.frame.frame import Frame
+    from lambent.transport.solution import Solution
 
 EPILOG = (
     "Examples: lambent view room.lambent -o view.png; "
@@ -30,10 +31,18 @@ PICTURES, FILMS, MESHES = (".exr", ".png"), (".mp4",), (".ply", ".glb")
 
 
 def complete_shows(incomplete: str) -> list[tuple[str, str]]:
-    """For the shell: kinds of views."""
-    from lambent.transport.radiosity.shows import SHOWS
+    """For the shell: kinds of views, of whatever method."""
+    from lambent.transport.methods import METHODS
 
-    return [(n, words) for n, words in SHOWS.items() if n.startswith(incomplete)]
+    known = {name: words for method in METHODS.values() for name, words in method.shows.items()}
+    return [(name, words) for name, words in known.items() if name.startswith(incomplete)]
+
+
+def shows_help() -> str:
+    """The kinds of views of each method."""
+    from lambent.transport.methods import METHODS
+
+    return "; ".join(f"of {n}: {', '.join(METHODS[n].shows)}" for n in METHODS) + "."
 
 
 def view(
@@ -45,13 +54,9 @@ def view(
         ),
     ],
     show: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="smooth, gather (final gather), patch, mesh (outlines), irradiance, residual.",
-            autocompletion=complete_shows,
-        ),
-    ] = "smooth",
+        str | None,
+        typer.Option(metavar="NAME", help=shows_help(), autocompletion=complete_shows),
+    ] = None,
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|N", help="Which camera of the scene.")
     ] = None,
@@ -108,13 +113,11 @@ def view(
     from lambent.errors import OptionError
     from lambent.frame.atomic import check_target
     from lambent.frame.sequence import has_place, parse_range
-    from lambent.transport.radiosity.shows import check_show
 
     suffix = Path(output).suffix.lower()
     known = (*PICTURES, *FILMS, *MESHES)
     if suffix not in known:
         raise OptionError(f"'{output}' is no kind of view", remedy=f"end it in {', '.join(known)}")
-    check_show(show)
     moves = frames is not None
     light_alone = suffix in MESHES or lightmap
     own = stand is not None or target is not None or fov is not None
@@ -145,6 +148,7 @@ def view(
     from lambent.transport import solution as look
 
     opened = look.open_solution(solution)
+    show = look.method_of(opened).show(show)
     where: dict[str, Any] = {
         "scene": scene,
         "camera": camera,
@@ -189,7 +193,7 @@ def view(
 # ------------------------------------------------------------------- private
 
 
-def _beside(solution: Any, scene: Path | None) -> Path:
+def _beside(solution: Solution, scene: Path | None) -> Path:
     from lambent.errors import OptionError
 
     source = scene or (Path(solution.scene) if solution.scene else None)
@@ -237,18 +241,16 @@ def _film(
 
 
 def _export(
-    solution: Any, path: Path, lightmap: bool, where: dict[str, Any], exposure: float, over: bool
-) -> None:
+    solution: Solution, path: Path, lightmap: bool, where: dict[str, Any], exposure: float,
+    overwrite: bool,
+) -> None:  # fmt: skip
     from lambent.errors import OptionError
-    from lambent.transport.radiosity import export
-    from lambent.transport.solution import scene_of
-    from lambent.transport.surfaces import surfaces_of
+    from lambent.transport.solution import method_of, scene_of
 
-    loaded = scene_of(solution, **where)
-    surfaces = surfaces_of(loaded.scene)
-    if not lightmap:
-        export.export(solution, loaded.scene, surfaces, path, exposure, over)
-        return
-    if path.suffix.lower() != ".exr":
+    method = method_of(solution)
+    if lightmap and path.suffix.lower() != ".exr":
         raise OptionError("a lightmap is an EXR", remedy="end it in .exr")
-    export.write_lightmap(path, export.lightmap(solution, loaded.scene, surfaces), over)
+    kind = "lightmap" if lightmap else "mesh"
+    if kind not in method.exports:
+        raise OptionError(f"a solution by {method.name} has no {kind}", remedy="take -o view.png")
+    method.exports[kind](solution, scene_of(solution, **where), path, exposure, overwrite)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +25,8 @@ from lambent.frame.sequence import has_place, put_number
 from lambent.render import plugins
 from lambent.render.accumulate import (
     ATTRIBUTE,
-    CHECKPOINT_SECONDS,
     Goal,
     Stamp,
-    State,
     accumulate,
     resume,
     save,
@@ -38,6 +35,16 @@ from lambent.render.accumulate import (
 from lambent.render.animation import Animation, Keyframes, Stage, disoccluded, read_keyframes
 from lambent.render.complaint import complaint
 from lambent.render.moments import Moments
+from lambent.render.options import (
+    CYCLES_SPP,
+    OPTIONS,
+    Effort,
+    Listeners,
+    Output,
+    Shot,
+    records_of,
+    tell,
+)
 from lambent.render.scene import LoadedScene, film_size, film_windows, integrator_name, load
 
 if TYPE_CHECKING:
@@ -60,127 +67,78 @@ class Rendered:
 
 
 def render(scene: Any, output: str | os.PathLike[str] | None = None, **options: Any) -> Any:
-    """Render a scene; the options are those of `render_all`.
+    """Render a scene; the options are the fields of the records in `lambent.render.options`.
 
     Returns the `Frame`, or the list of frames of an animation.
 
     ``lambent.render("scene.xml", spp=64)`` is a frame with colour, its variance, two half buffers,
     light split in several ways, and every feature (`lambent.render.channels`).
     """
-    done = [r.frame for r in render_all(scene, output, **options)]
-    return done if options.get("frames") is not None else done[0]
+    shot, effort, place, listeners = records_of({**options, "path": output})
+    done = [r.frame for r in render_all(scene, shot, effort, place, listeners)]
+    return done if shot.frames is not None else done[0]
 
 
 def render_all(
     source: Any,
-    output: str | os.PathLike[str] | None = None,
-    *,
-    spp: int | str | None = None,
-    time: float | None = None,
-    target_error: float | None = None,
-    size: tuple[int, int] | None = None,
-    frames: Iterable[int] | None = None,
-    camera: str | int | None = None,
-    features: str | Iterable[str] = "all",
-    depth: int | None = None,
-    seed: int = 0,
-    integrator: str | Any = "path",
-    light_groups: Mapping[str, Iterable[str]] | None = None,
-    animation: str | Animation | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    checkpoint: float = CHECKPOINT_SECONDS,
-    device: str = "auto",
-    report: Callable[[int | None, State], None] | None = None,
-    report_cycles: Callable[..., None] | None = None,
-    note: Callable[[str], None] | None = None,
-    written: Callable[[Path, Moments], None] | None = None,
+    shot: Shot = Shot(),
+    effort: Effort = Effort(),
+    output: Output = Output(),
+    listeners: Listeners = Listeners(),
 ) -> list[Rendered]:
     """Render a scene, one picture or the frames of an animation.
 
-    ``spp``: samples a pixel in all (default 64 unless ``time`` or ``target_error`` end the render);
-    ``"+64"``: so many more than there are. ``time``: seconds a picture. ``target_error``: estimated
-    relMSE. ``integrator``: "path" (ours), "scene" (the scene's own), a plug-in's name, or an
-    integrator. ``animation``: a TOML file of keyframes or a function ``frame -> Pose``; for a
-    scene file the ``.toml`` beside it is taken when ``frames`` are asked for. ``resume``: go on
-    with what ``output`` holds. ``checkpoint``: seconds after which ``output`` is written again.
-    ``report(number, state)`` is called after every pass, ``note`` with remarks, ``written`` after
-    every checkpoint.
-
     A .blend is rendered by Cycles, whole pictures with all features and the light groups and
-    animation of the file: there ``time`` alone means at most 4,096 spp, and what is not Cycles' to
+    animation of the file: there a time alone means at most 4,096 spp, and what is not Cycles' to
     do is refused.
     Raises `FileError`, `OptionError`, `UnknownNameError`, `OutputError`, `EngineError`.
     """
+    goal = effort.goal()
+    numbers = None if shot.frames is None else tuple(shot.frames)
+    shot = replace(shot, frames=numbers)
     if isinstance(source, (str, os.PathLike)) and str(source).endswith(".blend"):
-        _refuse_for_cycles(
-            {
-                "target_error": target_error is not None,
-                "resume": resume,
-                "spp=+N": isinstance(spp, str) and spp.startswith("+"),
-                "features": features != "all",
-                "integrator": integrator != "path",
-                "light_groups": bool(light_groups),
-                "animation": animation is not None,
-                "parameters": bool(parameters),
-            }
-        )
-        return _cycles(
-            source,
-            output,
-            None if frames is None else tuple(frames),
-            note or (lambda text: None),
-            report_cycles,
-            spp=_wanted_spp(spp, time, None) or 4096,
-            time=time,
-            size=size,
-            camera=camera,
-            depth=depth,
-            seed=seed,
-            device=device,
-            halves=True,
-            overwrite=overwrite,
-        )
-    loaded = load(source, size=size, camera=camera, device=device, parameters=parameters)
-    say = note or (lambda text: None)
+        _refuse_for_cycles(shot, effort, output)
+        return _cycles(source, shot, goal, output, listeners)
+    loaded = load(
+        source, size=shot.size, camera=shot.camera, device=shot.device, parameters=shot.parameters
+    )
     for text in loaded.notes:
-        if integrator == "path" or "integrator" not in text:
-            say(text)
-    numbers = None if frames is None else tuple(frames)
-    moving = _animation(animation, loaded, numbers)
+        if shot.integrator == "path" or "integrator" not in text:
+            tell(listeners.note, text)
+    moving = _animation(shot.animation, loaded, numbers)
     job = _Job(
         loaded,
-        Goal(_wanted_spp(spp, time, target_error), time, target_error),
-        spp if isinstance(spp, str) else None,
-        features,
-        _depth(depth, loaded),
-        seed,
-        _integrator(integrator, loaded),
-        light_groups,
-        resume,
-        overwrite,
-        checkpoint,
-        report,
-        say,
-        written,
+        replace(
+            shot,
+            depth=_depth(shot.depth, loaded),
+            integrator=_integrator(shot.integrator, loaded),
+        ),
+        effort,
+        output,
+        listeners,
     )
     if numbers is None:
         if moving is not None:
             raise OptionError("an animation needs frames", remedy="give --frames 1-24")
-        return [job.picture(None, None if output is None else Path(output))]
-    if output is not None and not has_place(str(output)):
+        return [job.picture(None, None if output.path is None else Path(output.path))]
+    if output.path is not None and not has_place(str(output.path)):
         raise OutputError(
-            "has no place for a frame number", file=output, remedy="take -o shot.####.exr"
+            "has no place for a frame number", file=output.path, remedy="take -o shot.####.exr"
         )
-    return _shot(job, moving, numbers, output)
+    return _frames(job, moving, numbers)
 
 
 def _signature_of_render() -> inspect.Signature:
-    """For ``help``: the options of `render_all`, and `render`'s own first parameter."""
-    first, *others = inspect.signature(render_all).parameters.values()
+    """For ``help``: `render`'s own parameters, and the fields of the records."""
+    scene, output, _ = inspect.signature(render).parameters.values()
+    options = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
+        )
+        for name, field in OPTIONS.items() if name != "path"
+    ]  # fmt: skip
     returned = inspect.signature(render).return_annotation
-    return inspect.Signature([first.replace(name="scene"), *others], return_annotation=returned)
+    return inspect.Signature([scene, output, *options], return_annotation=returned)
 
 
 render.__signature__ = _signature_of_render()  # type: ignore[attr-defined]
@@ -191,22 +149,13 @@ render.__signature__ = _signature_of_render()  # type: ignore[attr-defined]
 
 @dataclass(frozen=True)
 class _Job:
-    """What all pictures of one call share."""
+    """A scene and what is asked of it; ``shot``: its depth and integrator found out."""
 
     loaded: LoadedScene
-    goal: Goal
-    more: str | None
-    features: str | Iterable[str]
-    depth: int
-    seed: int
-    integrator: Any
-    light_groups: Mapping[str, Iterable[str]] | None
-    resume: bool
-    overwrite: bool
-    every: float
-    report: Callable[[int | None, State], None] | None
-    say: Callable[[str], None]
-    written: Callable[[Path, Moments], None] | None
+    shot: Shot
+    effort: Effort
+    output: Output
+    listeners: Listeners
 
     def picture(
         self, number: int | None, path: Path | None, motion: Any = None, before: Frame | None = None
@@ -214,80 +163,77 @@ class _Job:
         """One picture, begun or gone on with, written if it has a path."""
         from lambent.render.sampling import FrameSampler
 
+        shot, listeners = self.shot, self.listeners
+        assert shot.depth is not None
         sampler = FrameSampler(
             self.loaded.scene,
             self.loaded.sensor,
-            features=self.features,
-            depth=self.depth,
+            features=shot.features,
+            depth=shot.depth,
             rr_depth=self.loaded.rr_depth or 5,
-            integrator=self.integrator,
-            light_groups=self.light_groups,
+            integrator=shot.integrator,
+            light_groups=shot.light_groups,
             motion=motion,
             file=self.loaded.path,
         )
         if sampler.left_out and number in (None, 0):
-            self.say(
+            tell(
+                listeners.note,
                 "Light is not split, since only the sum is known of an integrator of Mitsuba's: "
-                f"{', '.join(sampler.left_out)} left out."
+                f"{', '.join(sampler.left_out)} left out.",
             )
         stamp = self._stamp(sampler, number)
         windows = film_windows(self.loaded.sensor)
         start = self._start(path, stamp, sampler)
         began = start.spp if start else 0
-        goal = self._goal(began)
+        goal = self.effort.goal(began)
         if start is not None and goal.spp is not None and began >= goal.spp:
-            self.say(f"{path}: has {began} spp already; give more with --spp, or +N.")
+            tell(listeners.note, f"{path}: has {began} spp already; give more with --spp, or +N.")
             frame = read(path) if path is not None else start.frame(windows=windows)
             return Rendered(frame, path, number, began, skipped=True)
 
         def keep(moments: Moments) -> None:
             if path is not None:
                 save(path, moments, stamp, windows)
-                if self.written:
-                    self.written(path, moments)
+                tell(listeners.written, path, moments)
 
-        def tell(state: State) -> None:
-            if self.report:
-                self.report(number, state)
-
-        # Different frames have different noise, as in every renderer.
-        seed = self.seed * 1_000_003 + (number or 0)
         moments = accumulate(
             sampler,
             goal,
-            seed=seed,
+            # different frames have different noise, as in every renderer
+            seed=shot.seed * 1_000_003 + (number or 0),
             start=start,
-            report=tell,
+            report=lambda state: tell(listeners.report, number, state),
             checkpoint=keep if path else None,
-            every=self.every,
+            every=self.output.checkpoint,
         )
         if moments.dropped:
-            self.say(
+            tell(
+                listeners.note,
                 f"{moments.dropped} samples had a radiance that is not finite (a BSDF or texture "
-                "returns NaN); they were left out."
+                "returns NaN); they were left out.",
             )
         if path is None:
             return Rendered(_flagged(moments.frame(windows=windows), before), None, number, began)
         frame = _flagged(save(path, moments, stamp, windows), before)
         if before is not None:
             write(path, frame, overwrite=True, attributes={ATTRIBUTE: stamp.text()})
-        if self.written:
-            self.written(path, moments)
+        tell(listeners.written, path, moments)
         return Rendered(frame, path, number, began)
 
     def _stamp(self, sampler: FrameSampler, number: int | None) -> Stamp:
         width, height = film_size(self.loaded.sensor)
-        integrator = integrator_name(self.integrator) or "path"
-        groups = {k: sorted(v) for k, v in (self.light_groups or {}).items()}
+        groups = {k: sorted(v) for k, v in (self.shot.light_groups or {}).items()}
+        assert self.shot.depth is not None
         return Stamp(
             self.loaded.digest,
             width,
             height,
-            self.depth,
-            self.seed,
+            self.shot.depth,
+            self.shot.seed,
             _camera_text(self.loaded.sensor),
             tuple(g.name for g in sampler.groups) + ((str(groups),) if groups else ()),
-            integrator,
+            integrator_name(self.shot.integrator) or "path",
             number or 0,
         )
 
@@ -300,20 +246,13 @@ class _Job:
                 file=path,
                 remedy="end the name in .exr",
             )
-        check_target(path, overwrite=self.overwrite or self.resume or self.more is not None)
-        if path.exists() and not self.overwrite:
+        check_target(path, self.output.overwrite or self.output.resume or self.effort.more)
+        if path.exists() and not self.output.overwrite:
             return resume(path, stamp, sampler.groups)
         return None
 
-    def _goal(self, began: int) -> Goal:
-        if self.more is None:
-            return self.goal
-        return Goal(began + int(self.more[1:]), self.goal.seconds, self.goal.error)
 
-
-def _shot(
-    job: _Job, moving: Animation | None, numbers: tuple[int, ...], output: Any
-) -> list[Rendered]:
+def _frames(job: _Job, moving: Animation | None, numbers: tuple[int, ...]) -> list[Rendered]:
     """The frames of an animation, each with motion from the one before."""
     from lambent.render.variant import mitsuba
 
@@ -323,58 +262,81 @@ def _shot(
             remedy="write the keyframes to a .toml beside the scene, or name one with --animation",
         )
     stage = Stage(mitsuba(), job.loaded.scene, job.loaded.sensor, moving)
+
+    def place(number: int) -> Path | None:
+        path = job.output.path
+        return None if path is None else Path(put_number(str(path), number))
+
     done: list[Rendered] = []
     before: Frame | None = None
     for number in numbers:
-        path = None if output is None else Path(put_number(str(output), number))
         # The first frame of all has no previous one: its motion is nought. A file of keyframes
         # says which that is; of a function it is the first that is asked for.
         first = moving.frames[0] if isinstance(moving, Keyframes) else numbers[0]
         previous = number - 1 if number > first else number
         motion = stage.motion(number, previous)
         if not done or done[-1].number != previous:  # the first of this call, or one was left out
-            before = None if output is None else _earlier(Path(put_number(str(output), previous)))
-        result = job.picture(number, path, motion, before if previous != number else None)
+            before = _earlier(place(previous))
+        result = job.picture(number, place(number), motion, before if previous != number else None)
         done.append(result)
         before = result.frame
     return done
 
 
-def _earlier(path: Path) -> Frame | None:
+def _earlier(path: Path | None) -> Frame | None:
     """The frame before, where an earlier call left it."""
-    return read(path) if path.exists() else None
+    return read(path) if path is not None and path.exists() else None
 
 
-def _refuse_for_cycles(given: Mapping[str, bool]) -> None:
+def _refuse_for_cycles(shot: Shot, effort: Effort, output: Output) -> None:
     """Raises `OptionError` for an option that only Mitsuba scenes know."""
-    asked = [name for name, there in given.items() if there]
-    if asked:
-        name = asked[0].replace("_", "-")
-        raise OptionError(
-            f"'{name}' is for Mitsuba scenes: Cycles renders whole pictures of so many samples, "
-            "with all features and the file's own animation and light groups",
-            remedy=f"leave out {name} for a .blend",
-        )
+    asked = {
+        "target-error": effort.target_error is not None,
+        "resume": output.resume,
+        "spp=+N": effort.more,
+        "features": shot.features != "all",
+        "integrator": shot.integrator != "path",
+        "light-groups": bool(shot.light_groups),
+        "animation": shot.animation is not None,
+        "parameters": bool(shot.parameters),
+    }
+    for name, there in asked.items():
+        if there:
+            raise OptionError(
+                f"'{name}' is for Mitsuba scenes: Cycles renders whole pictures of so many "
+                "samples, with all features and the file's own animation and light groups",
+                remedy=f"leave out {name} for a .blend",
+            )
 
 
 def _cycles(
-    source: Any,
-    output: Any,
-    numbers: tuple[int, ...] | None,
-    say: Callable[[str], None],
-    progress: Any,
-    **options: Any,
+    source: Any, shot: Shot, goal: Goal, output: Output, listeners: Listeners
 ) -> list[Rendered]:
     """A .blend file, frame by frame from one Blender."""
     from lambent.render.cycles.blend import numbered, render_blend_frames
 
+    numbers = None if shot.frames is None else tuple(shot.frames)
+    made = render_blend_frames(
+        source,
+        numbers,
+        output=output.path,
+        overwrite=output.overwrite,
+        spp=goal.spp or CYCLES_SPP,
+        time=goal.seconds,
+        size=shot.size,
+        camera=None if shot.camera is None else str(shot.camera),
+        depth=shot.depth,
+        seed=shot.seed,
+        device=shot.device,
+        halves=True,
+        progress=listeners.report_cycles,
+    )
     done = []
-    count = 1 if numbers is None else len(numbers)
-    made = render_blend_frames(source, numbers, output=output, progress=progress, **options)
     for number, frame in made:
-        path = None if output is None else numbered(output, number, count)
+        count = 1 if numbers is None else len(numbers)
+        path = None if output.path is None else numbered(output.path, number, count)
         for text in frame.notes:
-            say(text)
+            tell(listeners.note, text)
         done.append(Rendered(frame, path, None if numbers is None else number))
     return done
 
@@ -387,19 +349,6 @@ def _flagged(frame: Frame, before: Frame | None) -> Frame:
         return frame
     mask = disoccluded(frame, before)[:, :, None].astype(np.float32)
     return frame.with_layer(Layer(Role.ID, mask, name="disocclusion_mask"))
-
-
-def _wanted_spp(spp: int | str | None, time: float | None, error: float | None) -> int | None:
-    if isinstance(spp, str):
-        text = spp[1:] if spp.startswith("+") else spp
-        if not text.isdigit() or int(text) < 1:
-            raise OptionError(
-                f"'{spp}' is no number of samples a pixel", remedy="take --spp 64, or --spp +64"
-            )
-        return int(text)
-    if spp is None and time is None and error is None:
-        return 64
-    return spp
 
 
 def _depth(depth: int | None, loaded: LoadedScene) -> int:
@@ -439,15 +388,14 @@ def _camera_text(sensor: Any) -> str:
     return hashlib.sha256(str(sensor).encode()).hexdigest()[:12]
 
 
-def _animation(
-    wish: str | Animation | None, loaded: LoadedScene, numbers: tuple[int, ...] | None
-) -> Animation | None:
+def _animation(wish: Any, loaded: LoadedScene, numbers: tuple[int, ...] | None) -> Animation | None:
     if isinstance(wish, (str, os.PathLike)):
-        return read_keyframes(wish)
+        return read_keyframes(Path(wish))
     if wish is None and numbers is not None and loaded.path is not None:
         beside = loaded.path.with_suffix(".toml")
         return read_keyframes(beside) if beside.exists() else None
-    return wish
+    moving: Animation | None = wish
+    return moving
 
 
 def frames_of(animation: str | os.PathLike[str] | None, scene: Any) -> tuple[int, ...] | None:

@@ -1,9 +1,8 @@
-"""The page of a solve: the light as it grows, the residual, the patches, where the power goes."""
+"""The page of a solve: the light as it grows, its residual, views, and what the method lists."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,115 +11,129 @@ from numpy.typing import NDArray
 
 from lambent.frame.tonemap import auto_exposure, to_png
 from lambent.metrics.compare import number
+from lambent.render.scene import LoadedScene
 from lambent.report.curve import curve
 from lambent.report.page import build, escape, picture, save, table
-from lambent.transport.radiosity.solution import RadiositySolution
+from lambent.transport.methods import View
+from lambent.transport.scene import load_for_light
+from lambent.transport.solution import Solution, method_of
+from lambent.transport.solution import picture as render
 
 #: Seconds after which a page of a running solve loads itself again.
 RELOAD = 4
 #: How many pictures of the growing light the strip shows.
 STRIP = 8
+#: Longer side of its pictures in pixels, at most; samples a pixel.
+SIDE, SPP = 640, 8
 
 Image = NDArray[np.float32]
-_WORDS = {
-    "smooth": "irradiance interpolated, times the texture",
-    "mesh": "the patches",
-    "irradiance": "light that arrives, without textures",
-    "residual": "where the solution does not yet agree with itself",
-}
 
 
-def write_solving(
-    path: str | os.PathLike[str],
-    name: str,
-    solution: RadiositySolution,
-    pictures: Mapping[str, Image],
-    grown: Sequence[tuple[int, Image]],
-    *,
-    balance: Mapping[str, float],
-    areas: NDArray[np.float64],
-    running: bool,
-) -> Path:
-    """Write the page.
+class SolvingPage:
+    """The page, written again while the light grows; the solver says how often.
 
-    ``pictures``: kind of view -> ``(H, W, 3)`` radiance; ``grown``: after which step, and the
-    smooth view; ``balance``: watts; ``areas``: of the patches. Raises `OutputError`.
+    ``parameters``: values of the scene's ``$names``. `show` and `finish` raise `OutputError`.
     """
-    history = solution.history
-    exposure = auto_exposure(pictures["smooth"])
-    reload = f'<meta http-equiv="refresh" content="{RELOAD}">' if running else ""
-    residual = history.residuals[-1] if history.residuals else float("nan")
-    facts = [
-        ("Patches", f"{len(solution):,}"),
-        ("Faces that see light", f"{int(solution.live.sum()):,}"),
-        ("Solver", f"{solution.settings.get('solver')}, step {len(history.steps)}"),
-        ("Residual", f"{residual:.1e}"),
-    ]
-    if solution.error is not None:
-        facts.append(("Error of a patch's indirect light", f"{100 * solution.error:.1f} %"))
-    facts += [(f"Time, {what}", f"{s:.1f} s") for what, s in solution.seconds.items()]
-    terms = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts)
-    body = f'{reload}<section><dl class="facts">{terms}</dl></section>'
-    body += (
-        f'<section class="growing">{_shown(pictures["smooth"], exposure, "the light")}</section>'
-    )
-    if len(history.steps) > 1:
-        points = list(zip(history.steps, history.residuals, strict=True))
-        body += f"<section><h2>Residual</h2>{curve({'residual': points}, across='step')}</section>"
-    if len(grown) > 1:
-        chosen = np.unique(
-            np.linspace(0, len(grown) - 1, min(STRIP, len(grown))).round().astype(int)
-        )
-        strip = "".join(_figure(grown[k][1], exposure, f"step {grown[k][0]}") for k in chosen)
-        body += f'<section><h2>How it grew</h2><div class="gallery">{strip}</div></section>'
-    others = [kind for kind in pictures if kind != "smooth"]
-    if others:
-        made = "".join(
-            _figure(
-                pictures[kind],
-                exposure if kind == "mesh" else auto_exposure(pictures[kind]),
-                f"{kind}: {_WORDS.get(kind, '')}",
+
+    def __init__(
+        self, scene: str | os.PathLike[str], path: Path, parameters: dict[str, Any]
+    ) -> None:
+        self.scene, self.path, self.parameters = Path(scene), path, parameters
+        self._loaded: LoadedScene | None = None
+        self._views: dict[str, View] = {}
+        #: The default view after which step.
+        self._grown: list[tuple[int, Image]] = []
+
+    def show(self, solution: Solution) -> None:
+        """After a step of the solver."""
+        self._grow(solution)
+        self._write(solution, {}, running=True)
+
+    def finish(self, solution: Solution) -> None:
+        """With the final pictures, and no more reloading; after Ctrl-C without new ones."""
+        if solution.interrupted:
+            if self._grown:
+                self._write(solution, {}, running=False)
+            return
+        self._grow(solution)
+        views = {kind: self._picture(solution, kind) for kind in method_of(solution).page}
+        self._write(solution, views, running=False)
+
+    # --------------------------------------------------------------- private
+
+    def _grow(self, solution: Solution) -> None:
+        steps = solution.residuals()
+        shown = self._picture(solution, method_of(solution).show(None))
+        self._grown.append((steps[-1][0] if steps else 0, shown))
+
+    def _scene(self) -> LoadedScene:
+        if self._loaded is None:
+            loaded = load_for_light(self.scene, parameters=self.parameters)
+            width, height = loaded.sensor.film().crop_size()
+            scale = min(1.0, SIDE / max(width, height))
+            size = max(1, round(width * scale)), max(1, round(height * scale))
+            self._loaded = load_for_light(self.scene, parameters=self.parameters, size=size)
+        return self._loaded
+
+    def _picture(self, solution: Solution, kind: str) -> Image:
+        if kind in self._views:
+            self._views[kind].update(solution)
+        else:
+            self._views[kind] = solution.integrator(kind)
+        return render(self._views[kind], self._scene(), spp=SPP, features="none").colour
+
+    def _write(self, solution: Solution, views: dict[str, Image], running: bool) -> None:
+        method = method_of(solution)
+        light = self._grown[-1][1]
+        exposure = auto_exposure(light)
+        reload = f'<meta http-equiv="refresh" content="{RELOAD}">' if running else ""
+        facts = ((name[:1].upper() + name[1:], text) for name, text in solution.facts().items())
+        terms = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts)
+        body = f'{reload}<section><dl class="facts">{terms}</dl></section>'
+        body += f'<section class="growing">{_shown(light, exposure, "the light")}</section>'
+        steps = solution.residuals()
+        if len(steps) > 1:
+            made = curve({"residual": list(steps)}, across="step")
+            body += f"<section><h2>Residual</h2>{made}</section>"
+        if len(self._grown) > 1:
+            body += _gallery(
+                "How it grew",
+                [(image, exposure, f"step {k}") for k, image in _some(self._grown)],
             )
-            for kind in others
-        )
-        body += f'<section><h2>Views</h2><div class="gallery">{made}</div></section>'
-    body += f"<section><h2>Patches</h2>{_patches(areas)}</section>"
-    body += f"<section><h2>Power</h2>{_power(balance)}</section>"
-    body += "".join(f'<p class="note">{escape(note)}</p>' for note in solution.notes)
-    if solution.interrupted:
-        body += '<p class="note">The solver was interrupted; --resume goes on.</p>'
-    state = "solving" if running else "solved"
-    return save(path, build(f"{name}, {state}", body, subtitle="radiosity"))
+        if views:
+            body += _gallery(
+                "Views",
+                [
+                    (image, auto_exposure(image), f"{kind}: {method.shows[kind]}")
+                    for kind, image in views.items()
+                ],
+            )
+        for title, (heading, numbers) in solution.tables(self._scene().scene).items():
+            rows = [[escape(name), number(float(value))] for name, value in numbers.items()]
+            listed = table(["", escape(heading)], rows, caption=escape(title))
+            body += f"<section><h2>{escape(title)}</h2>{listed}</section>"
+        notes = list(solution.notes)
+        if solution.interrupted:
+            notes.append("The solver was interrupted; --resume goes on.")
+        body += "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
+        state = "solving" if running else "solved"
+        page = build(f"{self.scene.name}, {state}", body, subtitle=escape(method.name))
+        save(self.path, page)
+
+
+def _some(grown: list[tuple[int, Image]]) -> list[tuple[int, Image]]:
+    """At most `STRIP`, evenly, with the first and the last."""
+    chosen = np.linspace(0, len(grown) - 1, min(STRIP, len(grown))).round().astype(int)
+    return [grown[k] for k in np.unique(chosen)]
+
+
+def _gallery(title: str, images: list[tuple[Image, float, str]]) -> str:
+    figures = "".join(
+        f"<figure>{_shown(image, exposure, words)}<figcaption>{escape(words)}</figcaption></figure>"
+        for image, exposure, words in images
+    )
+    return f'<section><h2>{title}</h2><div class="gallery">{figures}</div></section>'
 
 
 def _shown(image: Image, exposure: float, words: str) -> str:
     return picture(to_png(image, exposure), words, image.shape[1], image.shape[0])
-
-
-def _figure(image: Image, exposure: float, words: str) -> str:
-    made = _shown(image, exposure, words)
-    return f"<figure>{made}<figcaption>{escape(words)}</figcaption></figure>"
-
-
-def _patches(areas: NDArray[np.float64]) -> str:
-    length = np.sqrt(areas)
-    rows = [
-        [name, number(float(value))]
-        for name, value in (
-            ("smallest", length.min()), ("median", np.median(length)), ("largest", length.max()),
-            ("all, area", areas.sum()),
-        )
-    ]  # fmt: skip
-    return table(["", "length (area: square)"], rows, caption="Sizes of the patches")
-
-
-def _power(balance: Mapping[str, Any]) -> str:
-    words = {
-        "emitted": "leaves lamps that are surfaces",
-        "direct": "arrives straight from emitters",
-        "reflected": "leaves by reflection, all bounces",
-        "absorbed": "stays in the surfaces",
-        "escaped": "leaves the scene, or ends on something black, after a reflection",
-    }
-    rows = [[escape(words[k]), number(v)] for k, v in balance.items()]
-    return table(["", "watts"], rows, caption="Power, mean of the channels")

@@ -15,11 +15,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
-
 from lambent.kernels.extremes import greater, smaller
 from lambent.render.surface import describe
+from lambent.transport.jit import dr, mi
 from lambent.transport.warps import cosine_hemisphere
 
 #: With a reflectance of 1 all around, light would never end; more than this counts as this.

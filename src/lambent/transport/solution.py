@@ -1,4 +1,4 @@
-"""What every solver of light returns, and how it is looked at.
+"""What every method of solving light returns, and how it is looked at.
 
 A `Solution` is a scene's light in some form; `view` and `film` render it as frames with every
 feature, so that what cleans a render cleans a gathered view, too.
@@ -7,65 +7,154 @@ feature, so that what cleans a render cleans a gathered view, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 
-from lambent.archive import check_card, read_archive
-from lambent.errors import FileError, OptionError, UnknownNameError
+from lambent.archive import Archive, check_card, read_archive, write_archive
+from lambent.errors import FileError, OptionError
 from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
+from lambent.transport.methods import METHODS, Method, Progress, View
 
-Progress = Callable[[float, float, str], None]
-#: Samples a pixel of views that are without noise, and of those that gather.
-SMOOTH_SPP, GATHER_SPP = 64, 64
+#: Samples a pixel of a view where nothing is said.
+SPP = 64
+#: What every solution has on its card.
+_CARD = {
+    "method": str,
+    "scene": str | None,
+    "scene_digest": str,
+    "parameters": dict[str, str],
+    "settings": dict[str, Any],
+    "notes": list[str],
+    "seconds": dict[str, float],
+    "interrupted": bool,
+}
 
 
-class Solution(Protocol):
-    """A scene's light. ``scene``: the file it was solved for, None for a scene in memory."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Solution:
+    """A scene's light. Subclasses hold it, and give `packed`; they may give `facts` and more.
 
-    scene: str | None
+    ``scene``: the file it was solved for, None for a scene in memory, with the values of its
+    ``parameters``; ``scene_digest`` tells whether it has changed since. ``settings``: with which it
+    was solved; ``seconds``: what took how long; ``interrupted``: before it was finished.
+    """
 
-    def integrator(self, show: str) -> Any:
-        """A Mitsuba integrator that shows it in one of its ways."""
+    method: ClassVar[str]
+    scene: str | None = None
+    scene_digest: str = ""
+    parameters: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+    interrupted: bool = False
+
+    # ------------------------------------------------------- for subclasses
+
+    def packed(self) -> tuple[dict[str, Any], dict[str, bytes]]:
+        """What its file holds beside the fields above: entries of the card, and members."""
+        raise NotImplementedError
+
+    def facts(self) -> dict[str, str]:
+        """What the terminal, a page and a notebook print of it, as words."""
+        return {"time": ", ".join(f"{what} {s:.1f} s" for what, s in self.seconds.items())}
+
+    def numbers(self) -> dict[str, Any]:
+        """The same for programs, as JSON."""
+        steps = self.residuals()
+        return {
+            "method": self.method,
+            "steps": len(steps),
+            "residual": steps[-1][1] if steps else None,
+            "seconds": self.seconds,
+            "interrupted": self.interrupted,
+            "notes": list(self.notes),
+        }
+
+    def residuals(self) -> Sequence[tuple[int, float]]:
+        """How far it was from agreeing with itself, step by step: step and relative residual."""
+        return ()
+
+    def tables(self, scene: Any) -> dict[str, tuple[str, dict[str, float]]]:
+        """What a page lists of it: title -> heading of the numbers, and numbers by words."""
+        return {}
+
+    # ------------------------------------------------------------ for users
+
+    def __repr__(self) -> str:
+        name, value = next(iter(self.facts().items()))
+        unfinished = ", interrupted" if self.interrupted else ""
+        return (
+            f"<{type(self).__name__} of {self.scene or 'a scene in memory'}: "
+            f"{name} {value}{unfinished}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """What it is of and how far it got, for Jupyter."""
+        facts = {
+            "scene": self.scene or "in memory",
+            "method": self.method,
+            **self.facts(),
+            "interrupted": "yes" if self.interrupted else "",
+            "notes": " ".join(self.notes),
+        }
+        rows = (f"<tr><th>{k}</th><td>{escape(v)}</td></tr>" for k, v in facts.items() if v)
+        return f"<table>{''.join(rows)}</table>"
+
+    def integrator(self, show: str | None = None) -> View:
+        """A Mitsuba integrator that shows it in one of its ways. Raises `UnknownNameError`."""
+        method = method_of(self)
+        return method.view(self, method.show(show))
+
+    def view(self, **options: Any) -> Frame:
+        """A picture of it; the options are those of `lambent.transport.solution.view`.
+
+        A scene that was solved in memory has to be given again: ``scene=…``.
+        """
+        return view(self, **options)
 
     def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Write it as a file."""
+        """Write it as a file (``.lambent``), in one step. Raises `OutputError`."""
+        own, members = self.packed()
+        common = {name: getattr(self, name) for name in _CARD}
+        write_archive(path, "solution", {**common, **own}, members, overwrite)
 
 
-#: Method -> the class that reads its files.
-METHODS = {"radiosity": "lambent.transport.radiosity.solution:RadiositySolution"}
+def card_fields(archive: Archive) -> dict[str, Any]:
+    """The fields that all solutions have, from an archive. Raises `DamagedFileError`."""
+    check_card(archive, _CARD)
+    found = {name: archive.card[name] for name in _CARD if name != "method"}
+    return {**found, "notes": tuple(found["notes"])}
 
 
-def open_solution(path: str | os.PathLike[str]) -> Any:
-    """A solution from a file, whatever its method.
+def method_of(solution: Solution) -> Method[Any]:
+    """The method by which it was solved."""
+    method: Method[Any] = METHODS[solution.method]
+    return method
+
+
+def open_solution(path: str | os.PathLike[str], method: str | None = None) -> Solution:
+    """A solution from a file; ``method``: the only one that will do.
 
     Raises `FileError`, `DamagedFileError`, `UnknownNameError`.
     """
     archive = read_archive(path, "solution")
     check_card(archive, {"method": str})
-    return method_class(archive.card["method"]).load(path)
+    there = archive.card["method"]
+    if method is not None and there != method:
+        raise FileError(f"holds a solution by {there[:40]}, not by {method}", file=path)
+    solution: Solution = METHODS[there].load(archive)
+    return solution
 
 
-def method_class(name: str) -> Any:
-    """The class of a method's solutions. Raises `UnknownNameError`."""
-    import importlib
-
-    from lambent.render.variant import mitsuba
-
-    mitsuba()  # the method's modules name what a variant has
-    if name not in METHODS:
-        raise UnknownNameError("method", name, METHODS)
-    module, _, attribute = METHODS[name].partition(":")
-    return getattr(importlib.import_module(module), attribute)
-
-
-def scene_of(solution: Any, scene: Any = None, **options: Any) -> LoadedScene:
+def scene_of(solution: Solution, scene: Any = None, **options: Any) -> LoadedScene:
     """The scene of a solution, loaded: ``scene`` if given, else the file it was solved for.
 
     Raises `FileError` where there is none, and what loading raises.
@@ -97,7 +186,7 @@ def scene_of(solution: Any, scene: Any = None, **options: Any) -> LoadedScene:
 
 
 def view(
-    solution: Any,
+    solution: Solution,
     *,
     scene: Any = None,
     camera: str | int | None = None,
@@ -105,7 +194,7 @@ def view(
     target: tuple[float, float, float] | None = None,
     fov: float | None = None,
     size: tuple[int, int] | None = None,
-    show: str = "smooth",
+    show: str | None = None,
     spp: int | None = None,
     features: str | Iterable[str] = "all",
     seed: int = 0,
@@ -116,8 +205,8 @@ def view(
 
     ``camera``: number or id of the scene's; or ``stand`` and ``target``, points of the world, and
     ``fov`` in degrees across. ``parameters``: values for the scene's ``$names``, where they are to
-    be other than when it was solved. ``show``: for radiosity see `radiosity.shows.SHOWS`. ``spp``:
-    64 if not given.
+    be other than when it was solved. ``show``: one of the method's `Method.shows`; ``spp``: 64 if
+    not given.
     Raises `FileError` (other scene), `OptionError`, `UnknownNameError`.
     """
     loaded = scene_of(
@@ -131,14 +220,14 @@ def view(
 
 
 def film(
-    solution: Any,
+    solution: Solution,
     frames: Iterable[int],
     animation: str | os.PathLike[str] | Animation,
     *,
     scene: Any = None,
     camera: str | int | None = None,
     size: tuple[int, int] | None = None,
-    show: str = "smooth",
+    show: str | None = None,
     spp: int | None = None,
     features: str | Iterable[str] = "all",
     seed: int = 0,
@@ -177,7 +266,7 @@ def film(
 
 
 def picture(
-    integrator: Any,
+    integrator: View,
     loaded: LoadedScene,
     spp: int | None = None,
     features: str | Iterable[str] = "all",
@@ -188,13 +277,12 @@ def picture(
 
     if spp is not None and spp < 1:
         raise OptionError(f"a picture needs at least 1 sample a pixel, not {spp}")
-    count = spp or (GATHER_SPP if integrator.show == "gather" else SMOOTH_SPP)
     with explaining(loaded.path or "the scene"):
         integrator.prepare(loaded.scene)
     sampler = FrameSampler(
         loaded.scene, loaded.sensor, features=features, integrator=integrator, file=loaded.path
     )
-    frame = sampler.sample(count, seed).frame(windows=film_windows(loaded.sensor))
+    frame = sampler.sample(spp or SPP, seed).frame(windows=film_windows(loaded.sensor))
     told = [n for n in loaded.notes if "have changed since" in n or "crop window" in n]
     return frame.replace(notes=(*frame.notes, *told))
 

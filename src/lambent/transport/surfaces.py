@@ -20,12 +20,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.kernels.extremes import greater, smaller
+from lambent.transport.jit import dr, mi
 from lambent.transport.warps import root, turn
 
 Array = NDArray[np.float64]

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
-
 from lambent.kernels.extremes import greater
+from lambent.transport.jit import dr, mi
 
 
 def cosine_hemisphere(u: Any, v: Any) -> Any:

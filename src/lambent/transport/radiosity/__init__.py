@@ -1,15 +1,9 @@
 """Radiosity (Goral et al. 1984): B = E + ρ F B on patches, on any Mitsuba scene.
 
-In the order in which they are used: `patches` cuts the surfaces, `factors` (pairs of polygons) and
-`casting` (rays) find the form factors F, `balance` makes them reciprocal and their rows complete,
-`solvers` solve, `adaptive` decides where to cut finer, `smooth` interpolates, `integrator` shows
-the result in Mitsuba, `export` writes it for others. `solution` holds it all together.
+In the order in which they are used: `settings` is what a person can choose, `patches` cuts the
+surfaces, `pairs` (of polygons) and `casting` (rays) find the form factors F, `balance` makes them
+reciprocal and their rows complete, `system` puts the equation together, `solvers` solve it, `solve`
+drives all this, `adaptive` decides where to cut finer. The result is a `solution`; `smooth`
+interpolates it, `integrator` shows it in Mitsuba, `export` writes it for others. `method` is the
+entry in the registry of methods.
 """
-
-from __future__ import annotations
-
-from lambent.render.variant import mitsuba as _mitsuba
-
-# The modules here name what a variant has. Whoever wants another device says so to
-# `lambent.render.variant.mitsuba` first; Dr.Jit must not look for LLVM by itself.
-_mitsuba("auto")

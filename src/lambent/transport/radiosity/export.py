@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import EngineError, OptionError
 from lambent.frame.atomic import atomic, check_target
+from lambent.transport.radiosity.integrator import RadiosityView
 from lambent.transport.radiosity.smooth import at_vertices, vertices_of
 from lambent.transport.radiosity.solution import RadiositySolution
 from lambent.transport.surfaces import CYLINDER, DISK, SPHERE, TRIANGLE, Array, Surfaces
@@ -179,7 +180,7 @@ def lightmap(solution: RadiositySolution, scene: Any, surfaces: Surfaces) -> Lig
     A triangle uses the upper left half of its square. Of two-sided surfaces every texel has the
     brighter side. Raises `FileError` for another scene.
     """
-    integrator = solution.integrator("smooth")
+    integrator = RadiosityView.of(solution)
     integrator.prepare(scene)
     cells = solution.patches_on(surfaces).cells
     depth = np.zeros(len(surfaces), np.int64)
@@ -287,7 +288,7 @@ def _round(solution: RadiositySolution, scene: Any, surfaces: Surfaces, exposure
     curved = np.flatnonzero((surfaces.kind != TRIANGLE) & (surfaces.area > 0))
     if not len(curved):
         return LitMesh(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
-    integrator = solution.integrator("smooth")
+    integrator = RadiosityView.of(solution)
     integrator.prepare(scene)
     around, along = ROUND, ROUND // 2
     j, i = np.mgrid[0 : along + 1, 0 : around + 1]

@@ -7,23 +7,24 @@ After ``import lambent.transport.radiosity.integrator`` (with a variant set) a s
         <string name="show" value="gather"/>
     </integrator>
 
-``show`` is one of `lambent.transport.radiosity.shows.SHOWS`.
+``show`` is one of `lambent.transport.radiosity.settings.SHOWS`.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from lambent.errors import OptionError
 from lambent.transport.diffuse import lit_side, reflectance
+from lambent.transport.jit import dr, mi
+from lambent.transport.methods import checked_show
 from lambent.transport.radiosity.light import arriving, met_by_ray
-from lambent.transport.radiosity.shows import check_show
+from lambent.transport.radiosity.settings import SHOWS
 from lambent.transport.radiosity.smooth import at_vertices, vertices_of
 from lambent.transport.radiosity.solution import RadiositySolution
+from lambent.transport.solution import open_solution
 from lambent.transport.surfaces import NOWHERE, TRIANGLE, surfaces_of
 from lambent.transport.warps import cosine_hemisphere
 
@@ -33,10 +34,9 @@ class RadiosityView(mi.SamplingIntegrator):  # type: ignore[misc]
 
     def __init__(self, props: Any) -> None:
         super().__init__(props)
-        self.show = str(props.get("show", "smooth"))
-        check_show(self.show)
+        self.show = checked_show(str(props.get("show", "smooth")), SHOWS)
         path = props.get("solution", None)
-        self.solution: Any = None if path is None else RadiositySolution.load(str(path))
+        self.solution: Any = None if path is None else open_solution(str(path), "radiosity")
         self._ready_for: Any = None
 
     @classmethod

@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from lambent.kernels.extremes import greater
 from lambent.transport.diffuse import lit_side, reflectance
+from lambent.transport.jit import dr, mi
 from lambent.transport.radiosity.patches import Index
 from lambent.transport.radiosity.probe import Probe, faces_of, lattice
 from lambent.transport.surfaces import Array

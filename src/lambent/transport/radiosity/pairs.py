@@ -26,14 +26,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
 from lambent.errors import OptionError
 from lambent.kernels.extremes import greater
+from lambent.transport.jit import dr, mi
 from lambent.transport.radiosity.patches import Index, Patches
 from lambent.transport.radiosity.probe import Probe, lattice
 from lambent.transport.surfaces import TRIANGLE, Array

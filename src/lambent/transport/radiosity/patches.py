@@ -15,12 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import OptionError
+from lambent.transport.jit import dr, mi
 from lambent.transport.surfaces import NOWHERE, TRIANGLE, Array, Surfaces, Table
 
 Index = NDArray[np.int64]

@@ -10,11 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.transport.jit import dr, mi
 from lambent.transport.radiosity.patches import Patches, TreeTable
 from lambent.transport.surfaces import TRIANGLE
 

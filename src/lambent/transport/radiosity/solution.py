@@ -7,22 +7,19 @@ point that is seen: B(x) = E(x) + ρ(x) H, with H smooth where ρ is not.
 from __future__ import annotations
 
 import hashlib
-import os
-from dataclasses import dataclass, field
-from html import escape
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.archive import arrays_of, check_card, packed_array, read_archive, write_archive
+from lambent.archive import Archive, arrays_of, check_card, packed_array
 from lambent.errors import DamagedFileError, FileError
-from lambent.frame.frame import Frame
 from lambent.transport.radiosity.patches import Cells, Patches
 from lambent.transport.radiosity.solvers import History
-from lambent.transport.surfaces import Array, Surfaces
+from lambent.transport.solution import Solution, card_fields
+from lambent.transport.surfaces import Array, Surfaces, surfaces_of
 
-METHOD = "radiosity"
 #: The arrays of its file: cells T, faces F.
 _ARRAYS: dict[str, tuple[Any, tuple[int | str, ...]]] = {
     "child": (np.int32, ("T",)),
@@ -36,24 +33,20 @@ _ARRAYS: dict[str, tuple[Any, tuple[int | str, ...]]] = {
     "residual": (np.float32, ("F", 3)),
     "live": (np.bool_, ("F",)),
 }
-#: The keys of its card.
-_CARD = {
-    "method": str,
-    "scene": str | None,
-    "geometry": str,
-    "scene_digest": str,
-    "parameters": dict[str, str],
-    "settings": dict[str, Any],
-    "notes": list[str],
-    "seconds": dict[str, float],
-    "interrupted": bool,
-    "error": float | None,
-    "history": dict[str, list[float]],
+#: The entries of its balance, in words.
+_POWER = {
+    "emitted": "leaves lamps that are surfaces",
+    "direct": "arrives straight from emitters",
+    "reflected": "leaves by reflection, all bounces",
+    "absorbed": "stays in the surfaces",
+    "escaped": "leaves the scene, or ends on something black, after a reflection",
 }
+#: What its card has of its own.
+_CARD = {"geometry": str, "error": float | None, "history": dict[str, list[float]]}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RadiositySolution:
+class RadiositySolution(Solution):
     """What `lambent.solve(scene, method="radiosity")` returns.
 
     Of the ``n`` patches' ``2 n`` faces (`lambent.transport.radiosity.patches`), ``(2 n, 3)`` each:
@@ -61,9 +54,10 @@ class RadiositySolution:
     ``residual`` of the equation; ``live`` ``(2 n,)``: faces that light reaches. ``error``: relative
     standard error of a face's indirect light, from the number of rays (None where form factors are
     not by rays). ``child``, ``prim``, ``corner``, ``cell_patch``: the cells and the patch of each.
-    ``scene``: its file, with the values of its ``parameters``; ``scene_digest`` tells whether it
-    has changed since.
+    ``digest`` is of the geometry.
     """
+
+    method: ClassVar[str] = "radiosity"
 
     child: NDArray[np.int32]
     prim: NDArray[np.int32]
@@ -77,34 +71,7 @@ class RadiositySolution:
     live: NDArray[np.bool_]
     history: History
     digest: str
-    scene: str | None = None
-    scene_digest: str = ""
-    parameters: dict[str, str] = field(default_factory=dict)
-    settings: dict[str, Any] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
-    interrupted: bool = False
     error: float | None = None
-
-    def __repr__(self) -> str:
-        scene = self.scene or "a scene in memory"
-        unfinished = ", interrupted" if self.interrupted else ""
-        return f"<RadiositySolution of {scene}: {len(self):,} patches{unfinished}>"
-
-    def _repr_html_(self) -> str:
-        """What it is of and how far it got, for Jupyter."""
-        facts = {
-            "scene": self.scene or "in memory",
-            "method": METHOD,
-            "patches": f"{len(self):,}",
-            "residual": f"{self.history.residuals[-1]:.2g}" if self.history.residuals else "",
-            "error of form factors": "" if self.error is None else f"{100 * self.error:.1f} %",
-            "seconds": f"{sum(self.seconds.values()):.1f}",
-            "interrupted": "yes" if self.interrupted else "",
-            "notes": " ".join(self.notes),
-        }
-        rows = (f"<tr><th>{k}</th><td>{escape(v)}</td></tr>" for k, v in facts.items() if v)
-        return f"<table>{''.join(rows)}</table>"
 
     def __len__(self) -> int:
         """Number of patches."""
@@ -168,77 +135,79 @@ class RadiositySolution:
             "escaped": arrives - watts(absorbed),
         }
 
-    # ---------------------------------------------------------------- views
+    # ------------------------------------------------------- as a solution
 
-    def integrator(self, show: str = "smooth") -> Any:
-        """A Mitsuba integrator that shows it (`radiosity.integrator.SHOWS`)."""
-        from lambent.transport.radiosity.integrator import RadiosityView
+    def facts(self) -> dict[str, str]:
+        """Patches, solver, residual, error, time."""
+        found = {
+            "patches": f"{len(self):,}",
+            "faces": f"{int(self.live.sum()):,} see light",
+            "solver": f"{self.settings.get('solver')}, step {len(self.history.steps)}",
+        }
+        if self.history.residuals:
+            found["residual"] = f"{self.history.residuals[-1]:.1e}"
+        if self.error is not None:
+            rays = self.settings.get("rays")
+            found["error"] = f"{100 * self.error:.1f} % of a patch's indirect light ({rays} rays)"
+        return {**found, **super().facts()}
 
-        return RadiosityView.of(self, show)
+    def numbers(self) -> dict[str, Any]:
+        """The same for programs."""
+        live = int(self.live.sum())
+        return {
+            "patches": len(self), "live_faces": live, "error": self.error, **super().numbers()
+        }  # fmt: skip
 
-    def view(self, **options: Any) -> Frame:
-        """A picture of it as a `Frame`; the options are those of `lambent.transport.solution.view`.
+    def residuals(self) -> list[tuple[int, float]]:
+        """After each step of the solver, relative to the first light."""
+        return list(zip(self.history.steps, self.history.residuals, strict=True))
 
-        A scene that was solved in memory has to be given again: ``scene=…``.
-        """
-        from lambent.transport.solution import view
+    def tables(self, scene: Any) -> dict[str, tuple[str, dict[str, float]]]:
+        """Sizes of the patches, and where the power goes."""
+        surfaces = surfaces_of(scene)
+        area = self.patches_on(surfaces).area
+        length = np.sqrt(area)
+        sizes = {
+            "smallest": length.min(), "median": np.median(length), "largest": length.max(),
+            "all, area": area.sum(),
+        }  # fmt: skip
+        power = {_POWER[name]: watts for name, watts in self.balance(surfaces).items()}
+        return {"Patches": ("length (area: square)", sizes), "Power": ("watts", power)}
 
-        return view(self, **options)
-
-    # ---------------------------------------------------------------- files
-
-    def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Write it as a file (``.lambent``), in one step. Raises `OutputError`."""
+    def packed(self) -> tuple[dict[str, Any], dict[str, bytes]]:
+        """Its arrays."""
         card = {
-            "method": METHOD,
-            "scene": self.scene,
             "geometry": self.digest,
-            "scene_digest": self.scene_digest,
-            "parameters": self.parameters,
             "patches": len(self),
-            "settings": self.settings,
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-            "interrupted": self.interrupted,
             "error": self.error,
             "history": vars(self.history),
         }
-        members = {f"{name}.npy": packed_array(getattr(self, name)) for name in _ARRAYS}
-        write_archive(path, "solution", card, members, overwrite)
+        return card, {f"{name}.npy": packed_array(getattr(self, name)) for name in _ARRAYS}
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> RadiositySolution:
-        """Read it from a file. Raises `FileError`, `DamagedFileError`."""
-        archive = read_archive(path, "solution")
+    def from_archive(cls, archive: Archive) -> RadiositySolution:
+        """From a file's content. Raises `DamagedFileError`."""
+        common = card_fields(archive)
         check_card(archive, _CARD)
-        card, path = archive.card, archive.path
-        if card["method"] != METHOD:
-            raise FileError(
-                f"holds a solution by {card['method'][:40]}, not by {METHOD}", file=path
-            )
-        arrays = arrays_of(archive, _ARRAYS)
+        card = archive.card
+        arrays: dict[str, Any] = arrays_of(archive, _ARRAYS)
         wrong = _wrong_cells(**{name: arrays[name] for name in ("child", "prim", "cell_patch")})
         if not wrong and len(arrays["live"]) != 2 * (int(arrays["cell_patch"].max()) + 1):
             wrong = f"{len(arrays['live'])} faces are not two for each patch"
-        if not wrong and set(card["history"]) != set(vars(History())):
-            wrong = "the history on its card lacks something"
+        history = card["history"]
+        if set(history) != set(vars(History())) or len({len(v) for v in history.values()}) != 1:
+            wrong = wrong or "the history on its card lacks something"
         if wrong:
             raise DamagedFileError(
                 f"is damaged: {wrong}",
-                file=path,
+                file=archive.path,
                 remedy="solve the scene again: lambent solve SCENE -o FILE",
             )
         return cls(
             **arrays,
-            history=History(**card["history"]),
+            **common,
+            history=History(**history),
             digest=card["geometry"],
-            scene=card["scene"],
-            scene_digest=card["scene_digest"],
-            parameters=card["parameters"],
-            settings=card["settings"],
-            notes=tuple(card["notes"]),
-            seconds=card["seconds"],
-            interrupted=card["interrupted"],
             error=card["error"],
         )
 

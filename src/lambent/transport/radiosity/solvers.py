@@ -24,10 +24,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lambent.errors import OptionError, by_interrupt
-from lambent.transport.surfaces import Array
 
+Array = NDArray[np.float64]
 Steps = Iterator[Array]
 
 
