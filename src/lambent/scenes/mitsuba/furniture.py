@@ -10,8 +10,8 @@ import itertools
 
 import numpy as np
 
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     box,
     extrude,
     lathe,
@@ -22,8 +22,8 @@ from lambent.render.procedural.geometry import (
     translate,
     tube,
 )
-from lambent.render.procedural.stage import Part
-from lambent.render.procedural.things import books, pile, thing
+from lambent.scenes.mitsuba.stage import Part
+from lambent.scenes.mitsuba.things import books, pile, thing
 
 Rng = np.random.Generator
 

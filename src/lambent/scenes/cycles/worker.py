@@ -14,6 +14,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -25,6 +26,8 @@ from lambent.render.cycles.find import Blender
 from lambent.render.cycles.frames import joined, passes_of, with_lobes, world_normal
 from lambent.render.cycles.process import BlenderProcess, Refusal, Report
 
+#: The package that builds the scenes, in Blender's Python.
+BUILDER = Path(__file__).parent / "inside"
 KINDS = ("room", "still life", "court", "land", "tangle", "stage")
 #: What a random view keeps: roles (with their variances), not Cycles' many single passes.
 _KEPT = (
@@ -142,8 +145,9 @@ class CyclesWorker:
                      "path": str(scratch / f"{k}_{b}.exr"), "frame": frame}
                 )  # fmt: skip
         order = {
-            "do": "random", "scene": scene, "view": n, "size": list(size), "passes": "light",
-            "device": self._device, "pictures": pictures,
+            "do": "build", "builder": str(BUILDER), "scene": scene, "view": n,
+            "size": list(size), "passes": "light", "device": self._device,
+            "pictures": pictures,
         }  # fmt: skip
         try:
             facts = self._process.order(order, progress)

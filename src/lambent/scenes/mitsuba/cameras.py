@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array
-from lambent.render.procedural.plan import HALF_FRAME, CameraPlan, look_at
+from lambent.scenes.mitsuba.geometry import Array
+from lambent.scenes.mitsuba.plan import HALF_FRAME, CameraPlan, look_at
 
 #: A random candidate: where from, where to.
 Candidate = Callable[[np.random.Generator], tuple[Array, Array]]

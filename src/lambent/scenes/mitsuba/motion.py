@@ -10,14 +10,20 @@ import dataclasses
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array, rotate, translate
-from lambent.render.procedural.noise import generator
-from lambent.render.procedural.plan import CameraPlan, ScenePlan
+from lambent.errors import OptionError
+from lambent.scenes.mitsuba.geometry import Array, rotate, translate
+from lambent.scenes.mitsuba.noise import generator
+from lambent.scenes.mitsuba.plan import CameraPlan, ScenePlan
 
 
-def animate(plan: ScenePlan, frames: int, seed: int) -> ScenePlan:
-    """``plan`` with paths for its cameras and for about half of its movable things."""
-    rng = generator(seed, 77, frames)
+def animate(plan: ScenePlan, frames: int = 6, seed: int | None = None) -> ScenePlan:
+    """``plan`` with paths for its cameras and for about half of its movable things.
+
+    ``seed`` of the motion; None: the plan's own. Raises `OptionError` for less than one frame.
+    """
+    if frames < 1:
+        raise OptionError(f"a clip of {frames} frames makes no sense", remedy="take 1 or more")
+    rng = generator(plan.seed if seed is None else seed, 77, frames)
     names = sorted({s.movable for s in plan.shapes if s.movable})
     chosen: dict[str, Array] = {}
     for name in names:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array, rotate, translate
-from lambent.render.procedural.stage import Part
+from lambent.scenes.mitsuba.geometry import Array, rotate, translate
+from lambent.scenes.mitsuba.stage import Part
 
 
 @dataclass

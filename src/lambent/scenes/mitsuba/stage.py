@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array, Geometry, merge
-from lambent.render.procedural.lamps import beads
-from lambent.render.procedural.materials import Wardrobe
-from lambent.render.procedural.mitsuba_scene import light_mesh
-from lambent.render.procedural.palette import AREA, LIGHTS, SHAPES
-from lambent.render.procedural.plan import (
+from lambent.scenes.mitsuba.geometry import Array, Geometry, merge
+from lambent.scenes.mitsuba.lamps import beads, light_mesh
+from lambent.scenes.mitsuba.materials import Wardrobe
+from lambent.scenes.mitsuba.palette import AREA, LIGHTS, SHAPES
+from lambent.scenes.mitsuba.plan import (
     CameraPlan,
     EmitterPlan,
     MediumPlan,

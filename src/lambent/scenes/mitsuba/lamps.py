@@ -9,8 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array, Geometry, copies, super_ellipsoid
-from lambent.render.procedural.palette import BEADS
+from lambent.scenes.mitsuba.geometry import (
+    Array,
+    Geometry,
+    copies,
+    quad,
+    sphere,
+    super_ellipsoid,
+)
+from lambent.scenes.mitsuba.palette import BEADS
 
 #: Linear colours of about 2200, 2700, 4000, 6500 and 9000 K at luminance one.
 _WHITES = np.array(
@@ -30,6 +37,15 @@ def neon(rng: np.random.Generator) -> Array:
     """A saturated light colour of luminance about one."""
     c = rng.dirichlet([0.5, 0.5, 0.5]) + 0.03
     return c / (c @ [0.2126, 0.7152, 0.0722])
+
+
+def light_mesh(kind: str, size: float) -> Geometry:
+    """The mesh of a kind of area light; its face count belongs to the palette."""
+    if kind == "bulb":
+        return sphere(size, 8)
+    if kind == "string":
+        return beads(np.zeros((1, 3)), size)
+    return quad(size, size, (1, 1))
 
 
 def beads(spots: Array, size: float | Array) -> Geometry:

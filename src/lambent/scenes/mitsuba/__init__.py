@@ -1,17 +1,19 @@
 """Random Mitsuba scenes to learn from: rooms, still lifes, landscapes, halls, studios.
 
 `random_scene` makes a `ScenePlan`, which is plain data, from a seed; the same seed gives the same
-plan on every machine. `ScenePlan.build` makes the Mitsuba scene. All scenes share a fixed palette
+plan on every machine. `motion.animate` makes a clip of it, `build.build` the Mitsuba scene. All
+scenes share a fixed palette
 of plug-in structures (`palette`), so that one compiled kernel renders them all.
 
 ::
 
-    from lambent.render.procedural import random_scene
     from lambent.render.variant import mitsuba
+    from lambent.scenes.mitsuba import random_scene
+    from lambent.scenes.mitsuba.build import build
 
     mi = mitsuba()
     plan = random_scene(7, kind="room")
-    image = mi.render(plan.build(mi, camera=0, size=(256, 256)), spp=64)
+    image = mi.render(build(plan, mi, camera=0, size=(256, 256)), spp=64)
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from typing import TYPE_CHECKING
 from lambent.errors import OptionError, UnknownNameError
 
 if TYPE_CHECKING:
-    from lambent.render.procedural.plan import CameraPlan, ScenePlan
-    from lambent.render.procedural.stage import Stage
+    from lambent.scenes.mitsuba.plan import CameraPlan, ScenePlan
+    from lambent.scenes.mitsuba.stage import Stage
 
 #: Kinds of scenes, and how often each comes up.
 _SHARES = {"room": 0.32, "still_life": 0.22, "open": 0.2, "hall": 0.14, "studio": 0.12}
@@ -35,11 +37,11 @@ __all__ = ["KINDS", "random_scene"]
 
 
 def _maker(kind: str) -> Callable[[Stage], list[CameraPlan]]:
-    from lambent.render.procedural.hall import hall
-    from lambent.render.procedural.landscape import landscape
-    from lambent.render.procedural.room import room
-    from lambent.render.procedural.still_life import still_life
-    from lambent.render.procedural.studio import studio
+    from lambent.scenes.mitsuba.hall import hall
+    from lambent.scenes.mitsuba.landscape import landscape
+    from lambent.scenes.mitsuba.room import room
+    from lambent.scenes.mitsuba.still_life import still_life
+    from lambent.scenes.mitsuba.studio import studio
 
     makers = {
         "room": room,
@@ -58,9 +60,9 @@ def random_scene(seed: int, kind: str | None = None) -> ScenePlan:
     """
     import numpy as np
 
-    from lambent.render.procedural.materials import Wardrobe
-    from lambent.render.procedural.noise import generator
-    from lambent.render.procedural.stage import Stage
+    from lambent.scenes.mitsuba.materials import Wardrobe
+    from lambent.scenes.mitsuba.noise import generator
+    from lambent.scenes.mitsuba.stage import Stage
 
     if kind is not None and kind not in _SHARES:
         raise UnknownNameError("kind of scene", kind, KINDS)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.render.procedural.noise import Array, cells, fbm, value_noise, warp
+from lambent.scenes.mitsuba.noise import Array, cells, fbm, value_noise, warp
 
 Colour = tuple[float, float, float]
 

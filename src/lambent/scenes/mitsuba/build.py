@@ -13,16 +13,27 @@ from typing import Any
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Geometry, quad, scale, sphere
-from lambent.render.procedural.palette import AREA, LIGHTS, SHAPES, SLOTS, TEXTURE
-from lambent.render.procedural.plan import CameraPlan, EmitterPlan, ScenePlan, as_float32
+from lambent.scenes.mitsuba.geometry import Geometry, scale
+from lambent.scenes.mitsuba.lamps import light_mesh
+from lambent.scenes.mitsuba.metals import METALS
+from lambent.scenes.mitsuba.palette import AREA, LIGHTS, SHAPES, SLOTS, TEXTURE
+from lambent.scenes.mitsuba.plan import CameraPlan, EmitterPlan, ScenePlan, as_float32
 
 #: A lens radius in metres that is as good as a pinhole.
 _PINHOLE = 1e-5
 
 
-def build(plan: ScenePlan, mi: Any, camera: CameraPlan, size: tuple[int, int], time: int) -> Any:
-    """The ``mi.Scene`` of ``plan`` (see `ScenePlan.build`)."""
+def build(
+    plan: ScenePlan, mi: Any, camera: int = 0, size: tuple[int, int] = (128, 128), time: int = 0
+) -> Any:
+    """The ``mi.Scene`` of ``plan`` with one sensor, a box filter, pictures of ``size`` (width,
+    height).
+
+    ``mi`` is the module with its variant set (`lambent.render.variant.mitsuba`). Raises
+    `OptionError` for a camera or a frame that is not there.
+    """
+    plan.check_time(time)
+    lens = plan.camera(camera)
     media = [_medium(mi, m) for m in plan.media]
     bsdfs = _bsdfs(plan, mi)
     scene: dict[str, Any] = {"type": "scene"}
@@ -62,9 +73,9 @@ def build(plan: ScenePlan, mi: Any, camera: CameraPlan, size: tuple[int, int], t
         if structure != "by number":
             scene.update({f"{structure}_slot_{k}": bsdf for k, bsdf in enumerate(members)})
     scene["environment"] = mi.load_dict(_environment(plan, mi), parallel=False)
-    scene["sensor"] = _sensor(mi, camera, size, time, media)
+    scene["sensor"] = _sensor(mi, lens, size, time, media)
     result = mi.load_dict(scene, parallel=False)
-    _set_lens(mi, result, camera)
+    _set_lens(mi, result, lens)
     return result
 
 
@@ -79,17 +90,6 @@ def _set_lens(mi: Any, scene: Any, camera: CameraPlan) -> None:
 
 def _dummy(kind: str) -> Geometry:
     return light_mesh(kind, 1.0)
-
-
-def light_mesh(kind: str, size: float) -> Geometry:
-    """The mesh of a kind of area light; its face count belongs to the palette."""
-    from lambent.render.procedural.lamps import beads
-
-    if kind == "bulb":
-        return sphere(size, 8)
-    if kind == "string":
-        return beads(np.zeros((1, 3)), size)
-    return quad(size, size, (1, 1))
 
 
 def _mesh(mi: Any, name: str, g: Geometry, extra: Mapping[str, Any]) -> Any:
@@ -274,8 +274,6 @@ def _principled(mi: Any, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _conductor(values: Mapping[str, Any]) -> dict[str, Any]:
-    from lambent.render.procedural.metals import METALS
-
     eta, k = METALS[values.get("metal", "aluminium")]
     return {
         "eta": _rgb(eta),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural import cameras, exposure, sky
-from lambent.render.procedural import furniture as fu
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import cameras, exposure, sky
+from lambent.scenes.mitsuba import furniture as fu
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     Array,
     box,
     copies,
@@ -20,12 +20,12 @@ from lambent.render.procedural.geometry import (
     super_ellipsoid,
     translate,
 )
-from lambent.render.procedural.lamps import neon, white
-from lambent.render.procedural.layout import extent, spots
-from lambent.render.procedural.plan import CameraPlan, MediumPlan
-from lambent.render.procedural.stage import Part, Stage
-from lambent.render.procedural.still_life import sweep
-from lambent.render.procedural.things import potted, statue, thing
+from lambent.scenes.mitsuba.lamps import neon, white
+from lambent.scenes.mitsuba.layout import extent, spots
+from lambent.scenes.mitsuba.plan import CameraPlan, MediumPlan
+from lambent.scenes.mitsuba.stage import Part, Stage
+from lambent.scenes.mitsuba.still_life import sweep
+from lambent.scenes.mitsuba.things import potted, statue, thing
 
 
 def studio(stage: Stage) -> list[CameraPlan]:

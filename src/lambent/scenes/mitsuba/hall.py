@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural import cameras, exposure, sky
-from lambent.render.procedural import furniture as fu
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import Array, box, frame_to, merge, quad, rotate, translate
-from lambent.render.procedural.lamps import along, neon, white
-from lambent.render.procedural.layout import Floor
-from lambent.render.procedural.plan import CameraPlan, MediumPlan
-from lambent.render.procedural.room import wall_with_holes
-from lambent.render.procedural.stage import Stage
-from lambent.render.procedural.textures import screen, to_bytes
-from lambent.render.procedural.things import potted, statue, thing
+from lambent.scenes.mitsuba import cameras, exposure, sky
+from lambent.scenes.mitsuba import furniture as fu
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import Array, box, frame_to, merge, quad, rotate, translate
+from lambent.scenes.mitsuba.lamps import along, neon, white
+from lambent.scenes.mitsuba.layout import Floor
+from lambent.scenes.mitsuba.plan import CameraPlan, MediumPlan
+from lambent.scenes.mitsuba.room import wall_with_holes
+from lambent.scenes.mitsuba.stage import Stage
+from lambent.scenes.mitsuba.textures import screen, to_bytes
+from lambent.scenes.mitsuba.things import potted, statue, thing
 
 
 def hall(stage: Stage) -> list[CameraPlan]:

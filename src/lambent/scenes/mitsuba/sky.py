@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural.lamps import neon, white
-from lambent.render.procedural.noise import Array, fbm
-from lambent.render.procedural.palette import ENVIRONMENT
+from lambent.scenes.mitsuba.lamps import neon, white
+from lambent.scenes.mitsuba.noise import Array, fbm
+from lambent.scenes.mitsuba.palette import ENVIRONMENT
 
 
 def directions() -> Array:
-    """The unit vectors ``(H, W, 3)`` of the map's pixels, z up, as `mitsuba_scene` turns it."""
+    """The unit vectors ``(H, W, 3)`` of the map's pixels, z up, as `build` turns it."""
     h, w = ENVIRONMENT
     theta = (np.arange(h) + 0.5) / h * np.pi
     phi = (np.arange(w) + 0.5) / w * 2 * np.pi

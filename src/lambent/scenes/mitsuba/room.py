@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural import cameras, exposure, sky
-from lambent.render.procedural import furniture as fu
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import cameras, exposure, sky
+from lambent.scenes.mitsuba import furniture as fu
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     Array,
     Geometry,
     box,
@@ -17,12 +17,12 @@ from lambent.render.procedural.geometry import (
     rotate,
     translate,
 )
-from lambent.render.procedural.lamps import along, neon, white
-from lambent.render.procedural.layout import Floor, extent
-from lambent.render.procedural.plan import CameraPlan, MediumPlan
-from lambent.render.procedural.stage import Part, Stage
-from lambent.render.procedural.textures import screen, to_bytes
-from lambent.render.procedural.things import potted, thing
+from lambent.scenes.mitsuba.lamps import along, neon, white
+from lambent.scenes.mitsuba.layout import Floor, extent
+from lambent.scenes.mitsuba.plan import CameraPlan, MediumPlan
+from lambent.scenes.mitsuba.stage import Part, Stage
+from lambent.scenes.mitsuba.textures import screen, to_bytes
+from lambent.scenes.mitsuba.things import potted, thing
 
 Hole = tuple[float, float, float, float]
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from lambent.render.procedural import textures as tx
-from lambent.render.procedural.palette import SLOTS
-from lambent.render.procedural.plan import MaterialPlan
-from lambent.render.procedural.textures import Colour, Cover, to_bytes
+from lambent.scenes.mitsuba import textures as tx
+from lambent.scenes.mitsuba.palette import SLOTS
+from lambent.scenes.mitsuba.plan import MaterialPlan
+from lambent.scenes.mitsuba.textures import Colour, Cover, to_bytes
 
 #: Woods in sRGB: oak, beech, walnut, cherry, ash, ebony, pine, teak, grey and white washed.
 _WOODS: list[Colour] = [

@@ -7,8 +7,10 @@ import gc
 import numpy as np
 import pytest
 
-from lambent.render.procedural import KINDS, random_scene
 from lambent.render.variant import mitsuba
+from lambent.scenes.mitsuba import KINDS, random_scene
+from lambent.scenes.mitsuba.build import build
+from lambent.scenes.mitsuba.motion import animate
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +20,7 @@ def mi():
 
 def render(mi, plan, **options):
     integrator = mi.load_dict({"type": plan.integrator, "max_depth": 6})
-    scene = plan.build(mi, size=(32, 32), **options)
+    scene = build(plan, mi, size=(32, 32), **options)
     return np.array(mi.render(scene, integrator=integrator, spp=32, seed=1))[..., :3]
 
 
@@ -33,7 +35,7 @@ def test_every_kind_renders_something(mi, kind):
 
 def test_ids_of_the_plan_are_those_of_the_scene(mi):
     plan = random_scene(2, "hall")
-    scene = plan.build(mi, size=(8, 8))
+    scene = build(plan, mi, size=(8, 8))
     shapes = {s.id() for s in scene.shapes()}
     assert set(plan.shape_ids) <= shapes
     assert all(s.startswith("pad_") for s in shapes - set(plan.shape_ids))
@@ -65,11 +67,11 @@ def test_kernels_are_shared_between_scenes_of_all_kinds(mi):
 
 def test_lens_and_position_of_a_moving_thing_are_in_the_scene(mi):
     """A mesh is stored where it is in the frame, so that p' = T_{t-1} T_t⁻¹ p."""
-    clip = random_scene(4, "still_life").animated(3, seed=1)
+    clip = animate(random_scene(4, "still_life"), 3, seed=1)
     moving = next(s for s in clip.shapes if s.path is not None and s.emitter is None)
     stored = []
     for time in (1, 2):
-        scene = clip.build(mi, camera=1, size=(8, 8), time=time)
+        scene = build(clip, mi, camera=1, size=(8, 8), time=time)
         mesh = next(s for s in scene.shapes() if s.id() == moving.id)
         stored.append(np.array(mi.traverse(mesh)["vertex_positions"]).reshape(-1, 3))
         sensor = mi.traverse(scene.sensors()[0])

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural.geometry import Array
-from lambent.render.procedural.plan import EmitterPlan, ShapePlan
-from lambent.render.procedural.stage import Stage
+from lambent.scenes.mitsuba.geometry import Array
+from lambent.scenes.mitsuba.plan import EmitterPlan, ShapePlan
+from lambent.scenes.mitsuba.stage import Stage
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lambent.frame.role import Role, Space, Stat
-from lambent.render.cycles import CyclesWorker, RandomView
-from lambent.render.cycles.worker import KINDS
+from lambent.scenes.cycles import CyclesWorker, RandomView
+from lambent.scenes.cycles.worker import KINDS
 
 pytestmark = pytest.mark.blender
 

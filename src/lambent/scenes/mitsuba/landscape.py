@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural import cameras, exposure, sky
-from lambent.render.procedural import furniture as fu
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import cameras, exposure, sky
+from lambent.scenes.mitsuba import furniture as fu
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     Array,
     box,
     copies,
@@ -19,11 +19,11 @@ from lambent.render.procedural.geometry import (
     translate,
     tube,
 )
-from lambent.render.procedural.palette import SKY_SCALES
-from lambent.render.procedural.plan import CameraPlan, EmitterPlan, MediumPlan
-from lambent.render.procedural.room import wall_with_holes, window_frame
-from lambent.render.procedural.stage import Part, Stage
-from lambent.render.procedural.things import potted, statue, thing, vase
+from lambent.scenes.mitsuba.palette import SKY_SCALES
+from lambent.scenes.mitsuba.plan import CameraPlan, EmitterPlan, MediumPlan
+from lambent.scenes.mitsuba.room import wall_with_holes, window_frame
+from lambent.scenes.mitsuba.stage import Part, Stage
+from lambent.scenes.mitsuba.things import potted, statue, thing, vase
 
 
 def tree(rng: np.random.Generator, height: float) -> list[Part]:

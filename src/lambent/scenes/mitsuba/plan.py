@@ -1,9 +1,9 @@
 """What a procedural scene is: arrays and numbers, without a renderer.
 
-A `ScenePlan` is made by `lambent.render.procedural.random_scene` and becomes a Mitsuba scene in
-`ScenePlan.build`. Meshes are in object space; a shape's place in frame t is ``T_t`` of
-`ScenePlan.transforms`, so that a point p hit in frame t was at ``T_{t-1} T_t⁻¹ p`` before. A scene
-that stands still has one frame.
+`lambent.scenes.mitsuba.random_scene` makes a `ScenePlan`, `motion.animate` a clip of it, and
+`build.build` the Mitsuba scene. Meshes are in object space; a shape's place in frame t is ``T_t``
+of `ScenePlan.transforms`, so that a point p hit in frame t was at ``T_{t-1} T_t⁻¹ p`` before. A
+scene that stands still has one frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import OptionError
-from lambent.render.procedural.geometry import Array, Geometry
+from lambent.scenes.mitsuba.geometry import Array, Geometry
 
 #: Half the width of a 35 mm frame, in millimetres: focal lengths are given for it.
 HALF_FRAME = 18.0
@@ -26,7 +26,7 @@ HALF_FRAME = 18.0
 
 @dataclass(frozen=True, eq=False)
 class MaterialPlan:
-    """A BSDF: a ``structure`` of `lambent.render.procedural.palette` and its values.
+    """A BSDF: a ``structure`` of `lambent.scenes.mitsuba.palette` and its values.
 
     Values are numbers, colours (linear, three numbers), or textures (uint8 ``(H, W, 1 or 3)``).
     """
@@ -38,7 +38,7 @@ class MaterialPlan:
 
 @dataclass(frozen=True, eq=False)
 class EmitterPlan:
-    """A light: ``kind`` of `lambent.render.procedural.palette`, ``id`` the name of its light group.
+    """A light: ``kind`` of `lambent.scenes.mitsuba.palette`, ``id`` the name of its light group.
 
     ``values`` holds radiance (W/m²/sr) or intensity (W/sr), places and pictures.
     """
@@ -141,34 +141,28 @@ class ScenePlan:
 
     def transforms(self, time: int = 0) -> dict[str, Array]:
         """``to_world (4, 4)`` of every shape in frame ``time``. Raises `OptionError` outside."""
-        self._check_time(time)
+        self.check_time(time)
         return {s.id: s.at(time) for s in self.shapes}
 
     def camera_transform(self, camera: int = 0, time: int = 0) -> Array:
         """``to_world (4, 4)`` of a camera in frame ``time``. Raises `OptionError` outside."""
-        self._check_time(time)
-        return self._camera(camera).at(time)
+        self.check_time(time)
+        return self.camera(camera).at(time)
 
-    def animated(self, frames: int = 6, seed: int | None = None) -> ScenePlan:
-        """The scene with moving objects and cameras in ``frames`` frames. See `motion`."""
-        from lambent.render.procedural.motion import animate
+    def camera(self, number: int) -> CameraPlan:
+        """The camera of a number. Raises `OptionError` for one that is not there."""
+        if not 0 <= number < len(self.cameras):
+            raise OptionError(
+                f"the plan has no camera {number}", remedy=f"it has 0 to {len(self.cameras) - 1}"
+            )
+        return self.cameras[number]
 
-        if frames < 1:
-            raise OptionError(f"a clip of {frames} frames makes no sense", remedy="take 1 or more")
-        return animate(self, frames, self.seed if seed is None else seed)
-
-    def build(
-        self, mi: Any, camera: int = 0, size: tuple[int, int] = (128, 128), time: int = 0
-    ) -> Any:
-        """The ``mi.Scene`` with one sensor, a box filter, and pictures of ``size`` (width, height).
-
-        ``mi`` is the module with its variant set (`lambent.render.variant.mitsuba`). Raises
-        `OptionError` for a camera or a frame that is not there.
-        """
-        from lambent.render.procedural.mitsuba_scene import build
-
-        self._check_time(time)
-        return build(self, mi, self._camera(camera), size, time)
+    def check_time(self, time: int) -> None:
+        """Raise `OptionError` unless the plan has this frame."""
+        if not 0 <= time < self.frames:
+            raise OptionError(
+                f"the plan has no frame {time}", remedy=f"it has frames 0 to {self.frames - 1}"
+            )
 
     def digest(self) -> str:
         """A hash that is the same on every machine: numbers are rounded before they count.
@@ -192,19 +186,6 @@ class ScenePlan:
             for value in _flat(dataclasses.asdict(camera)):
                 state.update(value)
         return state.hexdigest()[:16]
-
-    def _check_time(self, time: int) -> None:
-        if not 0 <= time < self.frames:
-            raise OptionError(
-                f"the plan has no frame {time}", remedy=f"it has frames 0 to {self.frames - 1}"
-            )
-
-    def _camera(self, number: int) -> CameraPlan:
-        if not 0 <= number < len(self.cameras):
-            raise OptionError(
-                f"the plan has no camera {number}", remedy=f"it has 0 to {len(self.cameras) - 1}"
-            )
-        return self.cameras[number]
 
 
 def _flat(value: Any) -> list[bytes]:

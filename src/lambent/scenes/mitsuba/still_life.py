@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.render.procedural import cameras, exposure, sky
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import cameras, exposure, sky
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     Array,
     Geometry,
     box,
@@ -20,11 +20,11 @@ from lambent.render.procedural.geometry import (
     super_ellipsoid,
     translate,
 )
-from lambent.render.procedural.lamps import along, neon, white
-from lambent.render.procedural.layout import extent, spots
-from lambent.render.procedural.plan import CameraPlan, MediumPlan
-from lambent.render.procedural.stage import Part, Stage
-from lambent.render.procedural.things import books, pile, statue, thing
+from lambent.scenes.mitsuba.lamps import along, neon, white
+from lambent.scenes.mitsuba.layout import extent, spots
+from lambent.scenes.mitsuba.plan import CameraPlan, MediumPlan
+from lambent.scenes.mitsuba.stage import Part, Stage
+from lambent.scenes.mitsuba.things import books, pile, statue, thing
 
 
 def sweep(width: float, depth: float, height: float) -> Geometry:

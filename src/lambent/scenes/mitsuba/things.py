@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lambent.render.procedural import surfaces as sf
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba import surfaces as sf
+from lambent.scenes.mitsuba.geometry import (
     Array,
     Geometry,
     box,
@@ -28,7 +28,7 @@ from lambent.render.procedural.geometry import (
     translate,
     tube,
 )
-from lambent.render.procedural.stage import Part
+from lambent.scenes.mitsuba.stage import Part
 
 Rng = np.random.Generator
 

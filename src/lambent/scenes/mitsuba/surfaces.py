@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.render.procedural.geometry import (
+from lambent.scenes.mitsuba.geometry import (
     Array,
     Geometry,
     box,
@@ -27,7 +27,7 @@ from lambent.render.procedural.geometry import (
     tube,
     unit,
 )
-from lambent.render.procedural.noise import fbm, solid_noise
+from lambent.scenes.mitsuba.noise import fbm, solid_noise
 
 
 @functools.lru_cache(maxsize=8)
