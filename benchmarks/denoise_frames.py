@@ -121,7 +121,7 @@ def splatted(arguments: Any, name: str, size: Any, levels: list[int], say: Any) 
 def cycles(arguments: Any, seed: int, size: Any, levels: list[int], say: Any) -> None:
     """A random Cycles scene, whole pictures."""
     from lambent.frame.files import write
-    from lambent.render.cycles import CyclesWorker
+    from lambent.scenes.cycles import CyclesWorker
 
     names = [arguments.cache / f"cycles-{seed}-{spp}spp.exr" for spp in levels]
     last = arguments.cache / f"cycles-{seed}-reference.exr"

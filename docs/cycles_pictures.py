@@ -13,7 +13,7 @@ from pathlib import Path
 from PIL import Image
 
 from lambent.frame.tonemap import auto_exposure, to_uint8
-from lambent.render.cycles import CyclesWorker
+from lambent.scenes.cycles import CyclesWorker
 
 OUT = Path(__file__).resolve().parent / "pictures" / "cycles_scenes.jpg"
 SIDE, COLUMNS, GAP = 128, 8, 4

@@ -104,15 +104,16 @@ def motion() -> None:
 
 def procedural(count: int = 40, spp: int = 48) -> None:
     import lambent
-    from lambent.render.procedural import random_scene
     from lambent.render.sampling import FrameSampler
     from lambent.render.variant import mitsuba
+    from lambent.scenes.mitsuba import random_scene
+    from lambent.scenes.mitsuba.build import build
 
     mi = mitsuba()
     cells = []
     for seed in range(count):
         plan = random_scene(seed)
-        scene = plan.build(mi, camera=seed % len(plan.cameras), size=(192, 144))
+        scene = build(plan, mi, camera=seed % len(plan.cameras), size=(192, 144))
         frame = FrameSampler(scene, depth=8, features="features").sample(spp, seed).frame()
         clean = lambent.denoise(frame)
         cells.append(to_uint8(clean.colour, auto_exposure(clean.colour)))

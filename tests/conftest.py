@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from lambent.render.cycles.find import Blender
 
 
 @pytest.fixture(scope="session")
@@ -17,3 +21,15 @@ def shared_data() -> Path:
         if folder is not None and folder.is_dir():
             return folder
     pytest.skip("the folder of shared test data is not there (LAMBENT_SHARED_DATA)")
+
+
+@pytest.fixture(scope="session")
+def blender() -> Blender:
+    """The Blender of this machine; tests are skipped where there is none."""
+    from lambent.errors import EngineError
+    from lambent.render.cycles.find import find_blender
+
+    try:
+        return find_blender()
+    except EngineError as error:
+        pytest.skip(f"no Blender here: {error.remedy}")

@@ -4,7 +4,8 @@ The verbs and records below are imported when first used: `import lambent` alone
 NumPy, Dr.Jit or OpenEXR, so that scripts and `lambent --help` start at once.
 
 ``lambent.denoise`` and ``lambent.render`` are functions, though there are packages of these names,
-too: ``from lambent.denoise.pipeline import Settings`` goes to the package.
+too: ``from lambent.denoise.pipeline import Settings`` and ``from lambent.denoise import pipeline``
+go to the package, ``import lambent.denoise.pipeline as p`` does not.
 """
 
 from __future__ import annotations

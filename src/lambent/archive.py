@@ -49,6 +49,11 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "solution": ("solution", "solve the scene again: lambent solve SCENE -o FILE"),
     "field": ("field", "fit it again: lambent fit THING -o FILE"),
 }
+#: Kind -> the command that takes it, where there is one.
+_TAKEN_BY: Mapping[str, str] = {
+    "model": "lambent denoise RENDER.exr --model {}",
+    "solution": "lambent view {}",
+}
 #: How members may be packed. Others need libraries that not every Python has.
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
@@ -235,6 +240,8 @@ def _card(
     if here != kind:
         if not isinstance(here, str) or here not in KINDS:
             raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy)
+        if here in _TAKEN_BY:
+            remedy = f"a {KINDS[here][0]} is for: {_TAKEN_BY[here].format(path)}"
         raise FileError(f"is a {KINDS[here][0]}, not a {what}", file=path, remedy=remedy)
     if card.get("format") != FORMAT:
         raise FileError(

@@ -79,8 +79,9 @@ def test_a_window_is_that_part_of_the_view(files):
 @pytest.mark.slow
 def test_a_camera_set_anew_is_the_camera_built(files):
     """Every camera of a random scene: through the parameters, and in a scene built for it."""
-    from lambent.render.procedural import random_scene
     from lambent.render.sampling import FrameSampler
+    from lambent.scenes.mitsuba import random_scene
+    from lambent.scenes.mitsuba.build import build
 
     recipe = Recipe(name="x", seed=1, kinds=("still_life",), view=(64, 48), crop=32, depth=4)
     source = ProceduralSource(recipe, "auto", Phases())
@@ -89,7 +90,7 @@ def test_a_camera_set_anew_is_the_camera_built(files):
     for camera in (2, 0, 3):
         (view,) = scene.views(camera)
         ours = view.pilot((64, 48), 32, 5)
-        alone = plan.build(source.mi, camera, (64, 48))
+        alone = build(plan, source.mi, camera, (64, 48))
         built = FrameSampler(alone, depth=recipe.depth, rr_depth=recipe.rr_depth)
         theirs = built.sample(32, 5).frame()
         for role in (Role.DEPTH, Role.ALBEDO, Role.COLOUR):

@@ -6,6 +6,7 @@ import pytest
 import torch
 from made import few_threads  # noqa: F401
 
+from lambent.denoise.engines import ENGINES
 from lambent.denoise.learned import Lambent
 from lambent.errors import EngineError
 from lambent.filters.denoiser import create
@@ -28,6 +29,7 @@ def on_processor(monkeypatch):
         return real(model, packed, images, divided, divisor, "cpu", views)
 
     monkeypatch.setattr(inference, "filtered", filtered)
+    ENGINES.register("cuda", inference.cuda)
 
 
 def frame(guides=True):

@@ -68,6 +68,7 @@ def explain(
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
+    from lambent.denoise.model_file import as_denoiser
     from lambent.filters.denoiser import create
     from lambent.filters.explain import check_picture, classical_for, side_by_side
     from lambent.filters.explain import explain as find_weights
@@ -76,7 +77,8 @@ def explain(
     from lambent.frame.repair import repair
 
     x, y = _pixel(pixel)
-    denoiser = create(model, **pairs("--set", setting))  # a wrong option before a missing file
+    model, params = as_denoiser(model, pairs("--set", setting))
+    denoiser = create(model, **params)  # a wrong option before a missing file
     others = [
         name.strip() for name in (beside or "").split(",") if name.strip() not in ("", "none")
     ]

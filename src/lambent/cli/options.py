@@ -41,8 +41,8 @@ ModelOption = Annotated[
     typer.Option(
         "--model",
         "-m",
-        metavar="NAME",
-        help="The denoiser; 'lambent models' lists them.",
+        metavar="NAME|FILE",
+        help="The denoiser; 'lambent models' lists them. Or a model file: mine.lambent.",
         autocompletion=complete_models,
     ),
 ]

@@ -162,4 +162,4 @@ def _print_finetuned(result: dict[str, float], output: Path) -> None:
         f"({100 * (result['after'] / result['before'] - 1):+.1f} %), "
         f"{int(result['steps'])} steps in {result['seconds']:.0f} s"
     )
-    say(f"wrote {output}; use it: lambent denoise noisy.exr --model lambent --set weights={output}")
+    say(f"wrote {output}; use it: lambent denoise noisy.exr --model {output}")

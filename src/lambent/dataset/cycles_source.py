@@ -1,6 +1,6 @@
 """Scenes rendered by Blender's Cycles: random ones, and .blend files.
 
-One order renders all pictures of a view (`lambent.render.cycles`), so these scenes give whole
+One order renders all pictures of a view (`lambent.scenes.cycles`), so these scenes give whole
 stills in place of samples that add up. A random scene draws its own cameras and crops, and is quick
 to build: each item has a scene of its own.
 """
@@ -21,7 +21,7 @@ from lambent.frame.frame import Frame
 from lambent.phases import Phases
 
 if TYPE_CHECKING:
-    from lambent.render.cycles import CyclesWorker
+    from lambent.scenes.cycles import CyclesWorker
 
 
 class RandomSource:
@@ -30,7 +30,7 @@ class RandomSource:
     licences = ("random Cycles scenes: made by Lambent, CC0-1.0",)
 
     def __init__(self, recipe: Recipe, device: str, phases: Phases) -> None:
-        from lambent.render.cycles.worker import KINDS
+        from lambent.scenes.cycles.worker import KINDS
 
         if recipe.items_per_scene != 1 or recipe.clips_per_scene != 1:
             raise OptionError(
@@ -51,7 +51,7 @@ class RandomSource:
     def worker(self) -> CyclesWorker:
         """The Blender that renders; started when it is first needed, ended with this process."""
         if self._worker is None:
-            from lambent.render.cycles import CyclesWorker
+            from lambent.scenes.cycles import CyclesWorker
 
             device = "cuda" if self.device == "cuda" else "cpu"
             self._worker = CyclesWorker(device=device)

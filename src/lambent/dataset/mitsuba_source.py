@@ -29,8 +29,8 @@ from lambent.render.variant import mitsuba
 if TYPE_CHECKING:
     from lambent.render.animation import Animation, Pose
     from lambent.render.moments import Moments
-    from lambent.render.procedural.plan import ScenePlan
     from lambent.render.sampling import Request
+    from lambent.scenes.mitsuba.plan import ScenePlan
 
 #: What is kept beside the colour (`lambent.render.channels`).
 FEATURES = "light,features"
@@ -71,7 +71,7 @@ class _MitsubaSource:
 
 
 class ProceduralSource(_MitsubaSource):
-    """Random scenes (`lambent.render.procedural`); the recipe's kinds, or all in their shares."""
+    """Random scenes (`lambent.scenes.mitsuba`); the recipe's kinds, or all in their shares."""
 
     licences = ("procedural scenes: made by Lambent, CC0-1.0",)
 
@@ -79,7 +79,7 @@ class ProceduralSource(_MitsubaSource):
         super().__init__(recipe, device, phases)
         if recipe.kinds:
             from lambent.errors import UnknownNameError
-            from lambent.render.procedural import KINDS
+            from lambent.scenes.mitsuba import KINDS
 
             for kind in recipe.kinds:
                 if kind not in KINDS:
@@ -87,18 +87,20 @@ class ProceduralSource(_MitsubaSource):
 
     def scene(self, seed: int, job: int, frames: int) -> MitsubaScene:
         """The scene of a seed; the recipe's kinds take turns."""
-        from lambent.render.procedural import random_scene
+        from lambent.scenes.mitsuba import random_scene
+        from lambent.scenes.mitsuba.build import build
+        from lambent.scenes.mitsuba.motion import animate
 
         kinds = self.recipe.kinds
         with self.phases("plan"):
             plan = random_scene(seed, kinds[job % len(kinds)] if kinds else None)
             if frames > 1:
                 # One frame more at the start: the first still of a clip has motion, too.
-                plan = plan.animated(frames + 1, seed)
+                plan = animate(plan, frames + 1, seed)
         gc.collect()  # the scene before this one: Dr.Jit numbers objects, kernels know the numbers
         with self.phases("build"):
             size = self.recipe.view
-            scene = plan.build(self.mi, 0, size)
+            scene = build(plan, self.mi, 0, size)
         about = {"kind": plan.kind, "seed": seed, "triangles": plan.triangles}
         return MitsubaScene(self, scene, about, len(plan.cameras), frames, _Places(plan))
 

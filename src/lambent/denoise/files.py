@@ -228,7 +228,7 @@ def process(
     result = Result(
         source=loaded.source,
         output=None,
-        model=settings.model,
+        model=settings.label,
         width=beauty.shape[1],
         height=beauty.shape[0],
         spp=first.frame.spp,
@@ -330,7 +330,7 @@ def outline(
     return {
         "source": str(source),
         "output": str(output),
-        "model": settings.model,
+        "model": settings.label,
         "dialect": first.dialect,
         "strength": settings.strength,
         "views": {name: _outlined(frame, settings) for name, frame in loaded.views.items()},

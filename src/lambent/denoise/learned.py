@@ -1,6 +1,7 @@
 """Lambent's own denoiser: kernels predicted by a small network, applied to every layer alike.
 
-prepare (`denoise.prepare`) → predict (`denoise.runtime`) → filter (`kernels.pyramid`) → merge. The
+prepare (`denoise.prepare`) → predict (`denoise.runtime`) → filter (`kernels.pyramid`) → merge, done
+by the engine of a device (`denoise.engines`). The
 network looks once at colour, guides and variances, whatever of them there is. Its kernels are
 weights of averages, and the same ones filter the beauty, all lighting layers and alpha:
 
@@ -14,7 +15,6 @@ and coverage stays in [0, 1].
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,26 +23,17 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from lambent.denoise import prepare, runtime
+from lambent.denoise.engines import Work, engine
 from lambent.denoise.model_file import ModelFile, loaded_model
-from lambent.errors import EngineError, OptionError
+from lambent.denoise.processor import AT_ONCE, GATE
+from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role
-from lambent.kernels.pyramid import (
-    COARSE,
-    OWN,
-    as_floats,
-    compile_all,
-    filter_planes,
-    padded,
-)
+from lambent.kernels.pyramid import as_floats, compile_all, padded
 from lambent.kernels.pyramid import weights_at as pyramid_weights
 
-#: Layers filtered in one pass: weights are made again for the next so many.
-_AT_ONCE = 4
-#: Channel of the first gate logit.
-_GATE = 4 * (OWN + COARSE + 1)
 #: Pixels that a result may depend on, measured (tests/denoise/test_learned.py).
 _MARGIN = 192
 _BYTES, _BYTES_A_CHANNEL = 600, 16
@@ -58,7 +49,7 @@ class Lambent(Denoiser):
     mostly some hundredths of the error less, for nearly twice the time of the network.
     ``precision``: ``"f32"`` computes in float32 where bfloat16 would be faster. ``threads``: of
     the network. ``device``: ``"cuda"`` computes with PyTorch on an NVIDIA GPU; else the processor
-    does it.
+    does it (`denoise.engines`).
     """
 
     about: ClassVar[About] = About(
@@ -121,7 +112,7 @@ class Lambent(Denoiser):
         if d is None:
             return found
         own = d.planes[:, :height, :width].mean(axis=0)
-        channel = _GATE + 2 * (y % 2) + x % 2
+        channel = GATE + 2 * (y % 2) + x % 2
         gate = 1 / (1 + np.exp(-float(as_floats(levels[0][channel])[y // 2, x // 2])))
         return np.asarray(found * (gate * own[y, x] / own + 1 - gate), np.float32)
 
@@ -149,7 +140,7 @@ class Lambent(Denoiser):
 
     def bytes_per_pixel(self, channels: int) -> int:
         """Inputs, activations, logits, and the planes of up to four layers (measured)."""
-        return _BYTES + _BYTES_A_CHANNEL * min(2 * channels, 6 * _AT_ONCE) + 4 * channels
+        return _BYTES + _BYTES_A_CHANNEL * min(2 * channels, 6 * AT_ONCE) + 4 * channels
 
     def model(self) -> ModelFile:
         """The model file. Raises `FileError` and `DamagedFileError`."""
@@ -167,52 +158,11 @@ class Lambent(Denoiser):
     def _filter(
         self, frame: Frame, images: Sequence[FloatImage], divided: Sequence[bool]
     ) -> list[FloatImage]:
-        whole = self._whole or prepare.Whole.of(frame)
-        given = prepare.Given.of(frame)
-        if self.device == "cuda":
-            return self._by_torch(given, whole, images, divided)
-        results: list[FloatImage] = []
-        with self._network() as network:
-            space = network.workspace
-            memory, same = network.input(prepare.packed_shape(given), given.arrays)
-            network.holds(None)
-            packed = prepare.packed_inputs(
-                given, whole, self.preference, "cpu", memory, same, network.step
-            )
-            network.holds(given.arrays)
-            *levels, of_albedo = network(packed)
-            d = prepare.divisors(given, of_albedo, "cpu", space) if any(divided) else None
-            for first in range(0, len(images), _AT_ONCE):
-                some = list(images[first : first + _AT_ONCE])
-                by = list(divided[first : first + _AT_ONCE])
-                level = prepare.split(given, some, by, d, "cpu", space)
-                level = filter_planes(levels, level, "cpu", space)
-                channels = [image.shape[2] for image in some]
-                gate = levels[0][_GATE:]
-                results += prepare.merged(given, level, gate, channels, by, d, "cpu")
-        return results
-
-    def _by_torch(
-        self,
-        given: prepare.Given,
-        whole: prepare.Whole,
-        images: Sequence[FloatImage],
-        divided: Sequence[bool],
-    ) -> list[FloatImage]:
-        """By `lambent.learn.inference`, which alone may import PyTorch."""
-        try:
-            inference = importlib.import_module("lambent.learn.inference")
-        except ImportError as error:
-            raise EngineError(
-                f"computing on a GPU needs PyTorch, which cannot be imported ({error})",
-                remedy="pip install 'lambent[train]', or --device cpu",
-            ) from error
-        packed = prepare.packed_inputs(given, whole, self.preference, "auto")
-        weights = self.weights or self.file
-        found: list[FloatImage] = inference.filtered(
-            weights, packed, images, divided, given.divisor(), "cuda", self.views
-        )
-        return found
+        work = Work(
+            self.model(), prepare.Given.of(frame), self._whole or prepare.Whole.of(frame), images,
+            divided, self.preference, self.views, self.precision, self.threads,
+        )  # fmt: skip
+        return engine(self.device)(work)
 
 
 @dataclass(frozen=True)

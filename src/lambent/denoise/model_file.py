@@ -22,7 +22,9 @@ from typing import Any
 
 from lambent.archive import KINDS, SUFFIX, Archive, check_card, read_archive, write_archive
 from lambent.denoise import inputs, lobes
-from lambent.errors import DamagedFileError, FileError, UnknownNameError
+from lambent.errors import DamagedFileError, FileError, OptionError, UnknownNameError
+from lambent.filters.denoiser import DENOISERS
+from lambent.settings import shortened
 
 #: What a network may read, and the version of its description: `inputs`, `lobes`, or the values of
 #: a display-referred picture themselves.
@@ -132,7 +134,32 @@ def find_model(name: str) -> Path:
     raise UnknownNameError("network", name, list(known))
 
 
-def loaded_model(name: str, reads: str) -> ModelFile:
+def as_denoiser(model: str, params: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The name and the parameters of a denoiser, for what ``--model`` names.
+
+    A name stays as it is. A path (``mine.lambent``, or anything with a ``/``) becomes the denoiser
+    that computes with such a model, with the path as its ``weights``. Raises `OptionError` where
+    ``params`` have weights, too, and what `read_model` raises.
+    """
+    if model in DENOISERS or not (model.endswith(SUFFIX) or os.sep in model):
+        return model, dict(params)
+    if "weights" in params:
+        raise OptionError(
+            f"--model names the file '{model}', and weights another", remedy="name one of them"
+        )
+    found = loaded_model(model)
+    reads, task = found.card.get("reads", "signals"), found.card.get("recipe", {}).get("task")
+    name = {"signals": "lambent", "pixels": "dncnn"}.get(reads, task)  # of papers: the task
+    if not isinstance(name, str) or name not in DENOISERS:
+        raise FileError(
+            f"holds a network of the task {shortened(task)}, which no denoiser computes with",
+            file=found.path,
+            remedy=f"known are {', '.join(DENOISERS)}",
+        )
+    return name, {**params, "weights": model}
+
+
+def loaded_model(name: str, reads: str | None = None) -> ModelFile:
     """The model of a name or path, read once as long as its file does not change.
 
     Raises `UnknownNameError` and what `read_model` raises.

@@ -35,6 +35,7 @@ import numpy as np
 from lambent.denoise import memory
 from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
+from lambent.denoise.model_file import as_denoiser
 from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
@@ -110,9 +111,11 @@ class Settings:
     ) -> Settings:
         """Settings from options as people give them.
 
-        Raises `UnknownNameError` for an unknown model, role or parameter, `OptionError` for a
-        value that makes no sense.
+        ``model`` may be the path of a model file. Raises `UnknownNameError` for an unknown model,
+        role or parameter, `OptionError` for a value that makes no sense, `FileError` for a file
+        that holds no model.
         """
+        model, named = as_denoiser(model, params or {})
         if model not in DENOISERS:
             DENOISERS[model]  # raises, naming the nearest
         if not 0.0 <= strength <= 1.0:
@@ -147,7 +150,7 @@ class Settings:
             max_memory=None if max_memory is None else parse_size(max_memory),
             threads=threads,
             device=device,
-            params=dict(params or {}),
+            params=named,
         )
         settings.denoiser()
         return settings
@@ -161,6 +164,12 @@ class Settings:
         if "threads" in known and self.threads is not None:
             options.setdefault("threads", self.threads)
         return create(self.model, **options)
+
+    @property
+    def label(self) -> str:
+        """The model for a person's eyes, with the file of its weights where one was named."""
+        weights = self.params.get("weights")
+        return self.model if weights is None else f"{self.model} ({weights})"
 
     def key(self) -> dict[str, Any]:
         """What decides how the result looks; memory, threads and device do not."""
@@ -210,7 +219,8 @@ def denoise(
 ) -> Frame:
     """Denoise a frame, a file, or an array of linear radiance ``(H, W, 3)``.
 
-    ``model`` and its ``params`` as listed by ``lambent models``. ``passes``: ``"beauty"``,
+    ``model`` and its ``params`` as listed by ``lambent models``, or the path of a model file
+    (``"mine.lambent"``). ``passes``: ``"beauty"``,
     ``"all"`` lighting layers, or names. ``strength`` blends from the input (0) to the result (1).
     ``keep_light``: the light of fireflies, which every filter loses, goes to their surroundings.
     ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: names of

@@ -1,8 +1,8 @@
-"""Our own network on an NVIDIA GPU, at run time: `denoise.learned` finds this by its name.
+"""The engine for an NVIDIA GPU: our own network at run time, by PyTorch.
 
 The same steps as on the processor (`denoise.prepare`, `denoise.runtime`, `kernels.pyramid`), with
-PyTorch in place of OpenVINO and the filter of training in place of the compiled loops. PyTorch is
-imported in this room alone, so the base product does not know this module.
+PyTorch in place of OpenVINO and the filter of training in place of the compiled loops. It joins
+`denoise.engines` through the entry point ``cuda`` of ``lambent.engines``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lambent.denoise.engines import Work
 from lambent.denoise.inputs import OFFSET
+from lambent.denoise.prepare import packed_inputs
 from lambent.denoise.views import turned_inputs, turned_outputs
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
@@ -41,6 +43,13 @@ def network(model: str, device: str) -> LambentNet:
     found = RoundedNet(size) if "steps.input" in weights else LambentNet(size)
     found.load_state_dict(weights)
     return found.eval().to(device).to(memory_format=torch.channels_last)
+
+
+def cuda(work: Work) -> list[FloatImage]:
+    """The images, filtered (`denoise.engines`). Raises `EngineError`, `FileError`."""
+    packed = packed_inputs(work.given, work.whole, work.preference, "auto")
+    weights, divisor = str(work.model.path), work.given.divisor()
+    return filtered(weights, packed, work.images, work.divided, divisor, "cuda", work.views)
 
 
 @torch.no_grad()

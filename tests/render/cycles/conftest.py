@@ -1,4 +1,4 @@
-"""A Blender for the tests that need one, and .blend files made by it."""
+"""A Blender that stays alive over the tests, and .blend files made by it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from lambent.errors import EngineError
-from lambent.render.cycles.find import Blender, find_blender
+from lambent.render.cycles.find import Blender
 from lambent.render.cycles.process import BlenderProcess
 
 MAKE = Path(__file__).parent / "blend_files.py"
-
-
-@pytest.fixture(scope="session")
-def blender() -> Blender:
-    """The Blender of this machine; tests are skipped where there is none."""
-    try:
-        return find_blender()
-    except EngineError as error:
-        pytest.skip(f"no Blender here: {error.remedy}")
 
 
 @pytest.fixture(scope="session")

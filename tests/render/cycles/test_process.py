@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from lambent.errors import DamagedFileError, EngineError, FileError, OptionError
-from lambent.render.cycles import cycles_available, render_blend, render_random
+from lambent.render.cycles import cycles_available, render_blend
 from lambent.render.cycles import find as finding
 from lambent.render.cycles.blend import check_blend, numbered
 from lambent.render.cycles.find import Blender, find_blender
@@ -268,18 +268,6 @@ def test_options(options: dict, match: str, tmp_path: Path) -> None:
     path.write_bytes(b"BLENDER-v405REND")
     with pytest.raises(OptionError, match=match):
         render_blend(path, **options)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"spp_list": ()}, {"spp_list": (0,)}, {"reference_blocks": 1}, {"size": (4, 4)},
-        {"kind": "castle"}, {"crop": 2.0}, {"frames": 0},
-    ],
-)  # fmt: skip
-def test_options_of_random_scenes(options: dict) -> None:
-    with pytest.raises(OptionError):
-        render_random(0, **options)
 
 
 def test_numbered() -> None:

@@ -1,15 +1,20 @@
-"""The orders that the server knows: open a scene, look through a camera, render pictures of it.
+"""The orders that the server knows: open a file or build a scene, and render pictures of it.
 
 One order renders many pictures of one scene, ``{"samples": …, "seed": …, "path": …}`` each; a scene
 stays open until another is asked for, and Cycles keeps what it built of it (persistent data), so
 that a small picture costs little more than its samples.
+
+The builder of a scene is not part of this folder: the order names a package that stands elsewhere.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -36,8 +41,8 @@ class Studio:
 
     def obey(self, order: dict[str, Any]) -> dict[str, Any]:
         """Do what is asked for; the facts to answer with. Raises `Refused`."""
-        if order["do"] == "random":
-            return self._random(order)
+        if order["do"] == "build":
+            return self._build(order)
         if order["do"] == "blend":
             return self._blend(order)
         raise Refused("order", f"there is no order '{order['do']}'")
@@ -52,14 +57,16 @@ class Studio:
             self._open, self._device = key, None
         return self._render(order)
 
-    def _random(self, order: dict[str, Any]) -> dict[str, Any]:
-        from .scenes import build
+    def _build(self, order: dict[str, Any]) -> dict[str, Any]:
+        """``builder``: the folder of a package whose ``build(**scene)`` builds a scene in Blender.
 
-        key = ("random", order["scene"])
+        It returns facts, among them a list of ``cameras`` and their ``windows``.
+        """
+        key = (order["builder"], order["scene"])
         if self._open != key:
             self._open = None
             start = time.perf_counter()
-            self._facts = build(**order["scene"])
+            self._facts = _package(order["builder"]).build(**order["scene"])
             self._facts["built_in"] = time.perf_counter() - start
             self._open, self._device = key, None
         n = order["view"]
@@ -108,3 +115,21 @@ class Studio:
         if match and int(match.group(1)) > self._now:  # it ends with a 0 again
             self._now = int(match.group(1))
             self._send("progress", done=self._before + self._now, total=self._total, text=text)
+
+
+def _package(folder: str) -> Any:
+    """The package in a folder, imported once; its own modules import each other relatively."""
+    name = "scenes_" + "".join(c if c.isalnum() else "_" for c in folder)
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(
+            name, Path(folder) / "__init__.py", submodule_search_locations=[folder]
+        )
+        assert spec is not None
+        assert spec.loader is not None
+        package = sys.modules[name] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(package)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
