@@ -4,8 +4,7 @@ The verbs and records below are imported when first used: `import lambent` alone
 NumPy, Dr.Jit or OpenEXR, so that scripts and `lambent --help` start at once.
 
 ``lambent.denoise`` and ``lambent.render`` are functions, though there are packages of these names,
-too: ``from lambent.denoise.pipeline import Settings`` and ``from lambent.denoise import pipeline``
-go to the package, ``import lambent.denoise.pipeline as p`` does not.
+too: every form of ``import lambent.denoise.pipeline`` goes to the package.
 """
 
 from __future__ import annotations
@@ -76,6 +75,9 @@ def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'lambent' has no attribute {name!r}")
     value = getattr(importlib.import_module(_PUBLIC[name]), name)
+    if f"{__name__}.{name}" in sys.modules:
+        # ``import lambent.denoise.x as y`` looks for x in a module of the name that this has
+        value.__name__ = f"{__name__}.{name}"
     globals()[name] = value
     return value
 
