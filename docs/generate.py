@@ -119,7 +119,7 @@ def filter_table() -> str:
     """The table of all denoisers, and the list of their pages."""
     from lambent.filters.denoiser import DENOISERS
 
-    out = ["# Denoisers", "", (Path(__file__).parent / "filters" / "intro.md").read_text(), ""]
+    out = ["# Denoisers", "", (Path(__file__).parent / "methods" / "filters_intro.md").read_text(), ""]
     out += ["| model | needs | can use | cost | when |", "| --- | --- | --- | --- | --- |"]
     for name in _names():
         about = DENOISERS[name].about
