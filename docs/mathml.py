@@ -1,4 +1,4 @@
-"""Writes equations as MathML while the pages are built: browsers draw it without script or network."""
+"""Writes equations as MathML while the pages are built; browsers draw it without a script."""
 
 from __future__ import annotations
 
