@@ -125,18 +125,12 @@ def filter_table() -> str:
     """The table of all denoisers, and the list of their pages."""
     from lambent.filters.denoiser import DENOISERS
 
-    out = [
-        "# Denoisers",
-        "",
-        (Path(__file__).parent / "methods" / "filters_intro.md").read_text(),
-        "",
-    ]
-    out += ["| model | needs | can use | cost | when |", "| --- | --- | --- | --- | --- |"]
+    intro = (Path(__file__).parent / "methods" / "filters_intro.md").read_text()
+    out = ["# All denoisers, a page each", "", intro, ""]
+    out += ["| model | what it is | when to use it |", "| --- | --- | --- |"]
     for name in _names():
         about = DENOISERS[name].about
-        needs = ", ".join(about.needs).replace("|", " or ")
-        link = f"[`{name}`](filters/{name}.md)"
-        out.append(f"| {link} | {needs} | {', '.join(about.uses)} | {about.cost} | {about.when} |")
+        out.append(f"| [`{name}`](filters/{name}.md) | {about.title} | {about.when} |")
     out += ["", "```{toctree}", ":hidden:", ""]
     out += [f"filters/{name}" for name in _names()]
     out += ["```", ""]

@@ -35,7 +35,8 @@ def test_the_three_commands_run_as_typed(elsewhere: Path) -> None:
     from lambent.cli import main
 
     section = (ROOT / "README.md").read_text().partition("## Three commands")[2]
-    commands = re.findall(r"^\$ (lambent .*)", section.partition("\n## ")[0], re.M)
+    section = section.partition("\n## ")[0].replace("\\\n", "")
+    commands = re.findall(r"^\$ (lambent .*)", section, re.M)
     assert len(commands) == 3
     for command in commands:
         arguments = shlex.split(command.replace("/tmp/", f"{elsewhere}/"))[1:]
