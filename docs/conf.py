@@ -16,17 +16,24 @@ copyright = "2026, the Lambent authors"
 release = lambent.__version__
 version = release
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
-myst_enable_extensions = ["colon_fence", "deflist"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "mathml",
+]
+html_math_renderer = "mathml"
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 smartquotes_action = "qe"  # no dashes: --option stays two hyphens
 source_suffix = {".md": "markdown"}
 exclude_patterns = [
     "_build",
-    "filters/*",
-    "results/*",
+    "methods/filters_intro.md",
     "_generated/dialects.md",
     "_generated/metrics.md",
+    "results/*",
 ]
 autodoc_typehints = "description"
 autodoc_member_order = "bysource"

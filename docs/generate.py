@@ -99,11 +99,17 @@ def _cell(text: str) -> str:
 
 # ------------------------------------------------------------------- filters
 
+#: Method pages written by hand, for the models that have one.
+METHODS = {
+    "lambent": "lambent", "lambent-fast": "lambent", "lambent-best": "lambent",
+    "kpcn": "kpcn", "dpcn": "kpcn", "modular": "modular", "dncnn": "dncnn",
+}  # fmt: skip
+
 #: Order of the pages: from the generic filter to what is best.
 ORDER = (
     "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned",
     "sbf", "sbf-tuned", "aaf", "nfor", "nfor-tuned", "statmc", "statmc-tuned",
-    "dncnn", "dpcn", "kpcn", "modular", "lambent",
+    "dncnn", "dpcn", "kpcn", "modular", "lambent", "lambent-fast", "lambent-best",
     "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
 )  # fmt: skip
 
@@ -119,13 +125,12 @@ def filter_table() -> str:
     """The table of all denoisers, and the list of their pages."""
     from lambent.filters.denoiser import DENOISERS
 
-    out = ["# Denoisers", "", (Path(__file__).parent / "filters" / "intro.md").read_text(), ""]
-    out += ["| model | needs | can use | cost | when |", "| --- | --- | --- | --- | --- |"]
+    intro = (Path(__file__).parent / "methods" / "filters_intro.md").read_text()
+    out = ["# All denoisers, a page each", "", intro, ""]
+    out += ["| model | what it is | when to use it |", "| --- | --- | --- |"]
     for name in _names():
         about = DENOISERS[name].about
-        needs = ", ".join(about.needs).replace("|", " or ")
-        link = f"[`{name}`](filters/{name}.md)"
-        out.append(f"| {link} | {needs} | {', '.join(about.uses)} | {about.cost} | {about.when} |")
+        out.append(f"| [`{name}`](filters/{name}.md) | {about.title} | {about.when} |")
     out += ["", "```{toctree}", ":hidden:", ""]
     out += [f"filters/{name}" for name in _names()]
     out += ["```", ""]
@@ -142,7 +147,9 @@ def filters() -> list[tuple[str, str]]:
         kind = DENOISERS[name]
         about = kind.about
         out = [f"# {name}: {about.title}", "", f"*{about.paper}*", ""]
-        out += [f"**When to use it.** {about.when}", ""]
+        out += [f"**When to use it:** {about.when}", ""]
+        if name in METHODS:
+            out += [f"**How it works**, with equations: [](../../methods/{METHODS[name]}.md).", ""]
         picture = pictures / f"filter_{name}.jpg"
         if picture.exists():
             out += [f"```{{image}} ../../pictures/{picture.name}",
@@ -161,15 +168,19 @@ def filters() -> list[tuple[str, str]]:
             out += ["| parameter | type | default |", "| --- | --- | --- |"]
             out += [f"| `{p}` | {_type(t)} | `{d}` |" for p, (t, d) in known.items()]
             out += [""]
+        if kind.__doc__:
+            out += [_markdown(inspect.cleandoc(kind.__doc__)), ""]
         out += ["## How it works", "", "```{code-block} text", ":class: prose", ""]
         module = inspect.getmodule(kind)
         out += [textwrap.dedent(inspect.getdoc(module) or "").strip(), "```", ""]
-        if kind.__doc__:
-            out += ["## The class", "", f"`{kind.__module__}.{kind.__qualname__}`", ""]
-            out += ["```{code-block} text", ":class: prose", ""]
-            out += [inspect.cleandoc(kind.__doc__), "```", ""]
+        out += [f"The class is `{kind.__module__}.{kind.__qualname__}`.", ""]
         pages.append((name, "\n".join(out)))
     return pages
+
+
+def _markdown(docstring: str) -> str:
+    """A docstring's prose: double backticks become single ones."""
+    return docstring.replace("``", "`")
 
 
 def _type(kind: Any) -> str:
@@ -189,7 +200,7 @@ def dialects() -> str:
     out: list[str] = []
     for name in DIALECTS:
         dialect = DIALECTS[name]
-        out += [f"### {dialect.title}", ""]
+        out += [f"## {dialect.title}", ""]
         if dialect.verified:
             out += [f"Names looked up in: {dialect.verified}.", ""]
         out += ["| layer (pattern) | role | what it is |", "| --- | --- | --- |"]
@@ -216,5 +227,5 @@ def metrics() -> str:
         __import__(module)
         title = ", ".join(f"`{n}`" for n in names)
         doc = textwrap.dedent(inspect.getdoc(sys.modules[module]) or "").strip()
-        out += [f"### {title}", "", "```{code-block} text", ":class: prose", "", doc, "```", ""]
+        out += [f"## {title}", "", "```{code-block} text", ":class: prose", "", doc, "```", ""]
     return "\n".join(out)

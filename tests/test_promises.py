@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "promises.md"
+PAGE = ROOT / "docs" / "guides" / "promises.md"
 NAMED = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 
 
@@ -36,4 +36,4 @@ def test_every_test_that_a_promise_names_is_there():
 
 
 def test_the_page_is_in_the_table_of_contents():
-    assert "\npromises\n" in (ROOT / "docs" / "index.md").read_text()
+    assert "\nguides/promises\n" in (ROOT / "docs" / "index.md").read_text()

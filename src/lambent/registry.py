@@ -2,7 +2,7 @@
 
 An entry is a string ``"package.module:attribute"`` that is imported when it is first asked for, so
 that listing names costs nothing. Other people's packages join through an entry-point group of the
-same form (see ``docs/plugins.md``).
+same form (see ``docs/guides/plugins.md``).
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ def test_levels_are_log_spaced_with_the_mean_asked_for(recipe):
 
 
 def test_the_documentation_has_every_key_with_its_default():
-    text = (Path(__file__).parents[2] / "docs" / "dataset.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "dataset_recipe.md").read_text()
     text = text.partition("## Recipes")[2]
     table = [line for line in text.splitlines() if line.startswith("| `")]
     told = {}
@@ -165,6 +165,6 @@ def test_the_documentation_has_every_key_with_its_default():
     for key, default in recipe.as_dict().items():
         if key in ("name", "seed"):
             continue
-        assert key in told, f"docs/dataset.md does not tell of '{key}'"
+        assert key in told, f"docs/reference/dataset_recipe.md lacks '{key}'"
         if default:
             assert told[key] == default, key

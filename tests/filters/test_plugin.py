@@ -1,4 +1,4 @@
-"""The plug-in of docs/plugins.md, taken from the page itself and installed as a package."""
+"""The plug-in of docs/guides/plugins.md, taken from the page itself and installed as a package."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "plugins.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "plugins.md"
 
 
 @pytest.fixture

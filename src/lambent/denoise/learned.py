@@ -55,7 +55,7 @@ class Lambent(Denoiser):
     about: ClassVar[About] = About(
         name="lambent",
         title="Lambent's own network, kernels on a pyramid",
-        paper="docs/denoiser: after Bako 2017, Vogels 2018, Balint 2023",
+        paper="after Bako 2017, Vogels 2018, Balint 2023",
         uses=(
             "albedo", "normal", "depth", "roughness", "alpha",
             "colour.variance", "albedo.variance", "normal.variance", "depth.variance",

@@ -9,7 +9,7 @@ and G a Gaussian over tens of pixels, every lighting layer is multiplied by
 (1 where either is not positive) of the beauty's three channels together: hues stay, layers that sum
 to the beauty still do, and grey stays grey. The light of a firefly is so redistributed over its
 surroundings, in proportion to what is there. That costs error, since G(c) has noise of its own
-(docs/first_denoise.md), so it is done only where it is asked for."""
+(docs/notes/denoiser.md), so it is done only where it is asked for."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ crops of the training data fall with the samples n as
 whose inverse is the guess, held to [1, `MOST`]. Texture raises σ, so a frame is taken for noisier
 than it is, not for cleaner. The network is told the guess in place of the samples, and that it is
 one, as it was in training with guesses of crops (`learn.resident`). Frames of 1 and 4 samples would
-be 3 % better off without, those of 16 and more up to twice as bad (docs/denoiser.md).
+be 3 % better off without, those of 16 and more up to twice as bad (docs/notes/denoiser.md).
 """
 
 from __future__ import annotations

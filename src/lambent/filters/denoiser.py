@@ -2,7 +2,7 @@
 
 A denoiser maps a `Frame` to a `Frame`. Classical filters, networks and OIDN are all of this form;
 other people's packages join through the entry-point group ``lambent.denoisers`` (an entry names a
-subclass of `Denoiser`; see ``docs/plugins.md``).
+subclass of `Denoiser`; see ``docs/guides/plugins.md``).
 
 The generic filter behind most of them is the weighted average
 

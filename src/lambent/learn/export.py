@@ -92,8 +92,8 @@ def export_run(
 ) -> dict[str, Any]:
     """The best weights of a run as a model file, in half floats or int8; its card.
 
-    int8 by measuring alone costs up to half of the error again (docs/denoiser.md): the network has
-    to be trained on in int8 before that is worth its speed.
+    int8 by measuring alone costs up to half of the error again (docs/notes/training.md): the
+    network has to be trained on in int8 before that is worth its speed.
     """
     model = task.network()
     model.load_state_dict(run.weights())
