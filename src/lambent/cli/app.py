@@ -40,7 +40,7 @@ COMMANDS = {
     "render": "Render a Mitsuba scene or a .blend, with every feature.",
     "solve": "Solve the light of a scene once, by radiosity.",
     "view": "Look at a solved scene: pictures, films, meshes, lightmaps.",
-    "models": "List the denoisers: what they need, cost, and which paper they are from.",
+    "models": "List the denoisers, or describe one.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
 }
 
