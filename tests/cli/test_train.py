@@ -40,10 +40,12 @@ def test_an_unknown_task(capsys, tmp_path):
     assert "did you mean denoise" in err
 
 
-def test_fine_tuning_needs_an_output(capsys, tmp_path):
+def test_fine_tuning_writes_beside_the_first_frame_and_replaces_nothing(capsys, tmp_path):
+    (tmp_path / "a_tuned.lambent").write_text("precious")
     code, _, err = run(capsys, "train", "--data", tmp_path / "a.exr")
-    assert code == 4
-    assert "-o" in err
+    assert code == 2
+    assert "a_tuned.lambent" in err
+    assert "exists already" in err
 
 
 def test_an_existing_output_is_kept(capsys, tmp_path):

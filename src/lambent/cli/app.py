@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from lambent.cli.options import Command
 from lambent.cli.process import say_interrupted
 from lambent.cli.terminal import remark, say
 from lambent.errors import (
@@ -71,9 +72,12 @@ class LazyCommands(TyperGroup):
         single = typer.Typer(
             add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
         )
-        single.command(name=cmd_name, help=module.__doc__, epilog=getattr(module, "EPILOG", None))(
-            found
-        )
+        single.command(
+            name=cmd_name,
+            cls=Command,
+            help=module.__doc__,
+            epilog=getattr(module, "EPILOG", None),
+        )(found)
         return typer.main.get_command(single)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

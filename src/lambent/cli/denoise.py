@@ -21,10 +21,14 @@ from lambent.cli.options import (
     JsonOption,
     MapOption,
     ModelOption,
+    OverwriteOption,
     SetOption,
     SppOption,
+    ThreadsOption,
+    page_for,
     pairs,
     print_json,
+    report_option,
 )
 from lambent.cli.progress import Progress, show_seconds
 from lambent.cli.terminal import columns, remark, say, say_labelled
@@ -101,9 +105,7 @@ def denoise(
     mapping: MapOption = None,
     spp: SppOption = None,
     setting: SetOption = None,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write one HTML page of before and after.")
-    ] = False,
+    report: Annotated[str | None, report_option("Write a page of before and after")] = None,
     preview: Annotated[
         bool, typer.Option("--preview", help="Write a PNG of before and after.")
     ] = False,
@@ -111,13 +113,9 @@ def denoise(
         str | None,
         typer.Option(metavar="4G", help="Stay under this much memory, working in tiles."),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Use so many processor threads.")
-    ] = None,
+    threads: ThreadsOption = None,
     device: DeviceOption = "auto",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be done; write nothing.")
     ] = False,
@@ -126,6 +124,7 @@ def denoise(
     """Typer's view of the command; the module docstring is its help."""
     from lambent.denoise.pipeline import Settings
     from lambent.denoise.sequence import is_sequence
+    from lambent.errors import OptionError
 
     if threads is not None:
         _limit_threads(threads)
@@ -146,6 +145,11 @@ def denoise(
     )
     extras = _Extras(preview, report)
     many = len(sources) > 1 or is_sequence(sources[0])
+    if many and report:
+        raise OptionError(
+            f"--report {report} is one page, and there may be several frames",
+            remedy="--report alone writes a page beside each",
+        )
     if many:
         return _run_many(sources, output, frames, settings, extras, overwrite, dry_run, as_json)
     return _run_one(Path(sources[0]), output, frames, settings, extras, overwrite, dry_run, as_json)
@@ -399,13 +403,13 @@ def _count(number: int, thing: str) -> str:
 class _Extras:
     """The preview and the report, written beside the output."""
 
-    def __init__(self, preview: bool, report: bool) -> None:
+    def __init__(self, preview: bool, report: str | None) -> None:
         self._preview, self._report = preview, report
 
     @property
     def any(self) -> bool:
         """Whether the input has to be kept until the result is there."""
-        return self._preview or self._report
+        return self._preview or self._report is not None
 
     def paths(self, output: Path) -> dict[str, Path]:
         """Where they go, by kind."""
@@ -414,8 +418,9 @@ class _Extras:
         found = {}
         if self._preview:
             found["preview"] = output.with_name(output.stem + PREVIEW_SUFFIX)
-        if self._report:
-            found["report"] = output.with_suffix(".html")
+        page = page_for(self._report, output.with_suffix(".html"))
+        if page is not None:
+            found["report"] = page
         return found
 
     def check(self, output: Path, overwrite: bool) -> None:

@@ -16,6 +16,7 @@ from lambent.cli.options import (
     JsonOption,
     MapOption,
     ModelOption,
+    OverwriteOption,
     SetOption,
     SppOption,
     check_output,
@@ -62,9 +63,7 @@ def explain(
         Path | None,
         typer.Option(metavar="REF", help="The noise-free image, to measure the bias with."),
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a picture that exists.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""

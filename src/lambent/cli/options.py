@@ -1,14 +1,20 @@
-"""Options that several commands share: their types, help and completions, and how they parse."""
+"""Options that several commands share: their types, help and completions, and how they parse.
+
+One name means the same everywhere: ``-o`` the result, by default beside the input; ``--report``
+a page, with or without a name; ``--time`` seconds or ``2h``; ``--from`` what to begin with.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from lambent.cli.terminal import say
 from lambent.errors import OptionError
@@ -82,9 +88,81 @@ PluginsOption = Annotated[
         help="Let scenes load the plug-ins (native code) in this folder. Repeatable.",
     ),
 ]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace outputs that already exist.")
+]
+ThreadsOption = Annotated[
+    int | None, typer.Option("--threads", metavar="N", help="Use at most this many threads.")
+]
+DefineOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--define", "-D", metavar="NAME=VALUE", help="Set a $NAME of the scene. Repeatable."
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else there.")
 ]
+
+
+def report_option(what: str) -> Any:
+    """``--report [PAGE.html]``; ``what`` completes the help: "Write a page of before and after"."""
+    return typer.Option(
+        "--report", metavar="[PAGE.html]", help=f"{what}; without a name, beside the output."
+    )
+
+
+def time_option(what: str) -> Any:
+    """``--time TIME``, to be read by `seconds_of`."""
+    return typer.Option("--time", metavar="TIME", help=f"{what}: 60 (seconds), 45s, 90m or 2h.")
+
+
+class Command(TyperCommand):
+    """A command whose ``--report`` may come without a page.
+
+    Only a word that ends in .html is taken as the page, so that in ``--report noisy.exr`` the file
+    stays an input, and is never written to.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Give a bare ``--report`` the empty name, which `page_for` replaces."""
+        end = args.index("--") if "--" in args else len(args)
+        for at in range(end - 1, -1, -1):
+            if args[at] == "--report" and not (at + 1 < end and _is_page(args[at + 1])):
+                args[at] = "--report="
+        return super().parse_args(ctx, args)
+
+
+def page_for(report: str | None, default: Path) -> Path | None:
+    """Where the page of ``--report`` goes; None without that option.
+
+    Raises `OptionError` for a name that is not a page's.
+    """
+    if report is None:
+        return None
+    if report == "":
+        return default
+    if not _is_page(report):
+        raise OptionError(
+            f"--report '{report}' is not the name of a page", remedy="end it in .html"
+        )
+    return Path(report)
+
+
+def _is_page(name: str) -> bool:
+    return name.lower().endswith((".html", ".htm"))
+
+
+def seconds_of(option: str, text: str | None) -> float | None:
+    """``"60"``, ``"45s"``, ``"90m"``, ``"2h"`` to seconds. Raises `OptionError`."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) *(s|m|min|h)?", text.strip())
+    if match is None or float(match[1]) <= 0:
+        raise OptionError(
+            f"{option} '{text}' is not a time", remedy="for example 60 (seconds), 45s, 90m or 2h"
+        )
+    return float(match[1]) * {"h": 3600, "m": 60, "min": 60}.get(match[2], 1)
 
 
 def pairs(option: str, texts: Iterable[str] | None) -> dict[str, str]:

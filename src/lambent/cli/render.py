@@ -16,7 +16,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    page_for,
+    print_json,
+    report_option,
+    seconds_of,
+    time_option,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
@@ -48,17 +59,15 @@ def render(
             "--output",
             "-o",
             metavar="OUT.exr",
-            help="Where to write; a pattern for frames. Default: SCENE.exr here, for a scene.xml "
-            "its folder's name.",
+            help="Where to write; a pattern for frames. Default: SCENE.exr beside the scene; for "
+            "a scene.xml, its folder's name.",
         ),
     ] = None,
     spp: Annotated[
         str | None,
         typer.Option(metavar="N|+N", help="Samples a pixel in all (64), or so many more."),
     ] = None,
-    time: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="End each picture after this time.")
-    ] = None,
+    time: Annotated[str | None, time_option("Stop each picture after this time")] = None,
     target_error: Annotated[
         float | None,
         typer.Option(metavar="RELMSE", help="End when the estimated error is this small."),
@@ -101,28 +110,24 @@ def render(
             help="A layer for the light of these emitters: key=sun,lamp*. Repeatable.",
         ),
     ] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
-    ] = None,
+    define: DefineOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with what the output holds.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     checkpoint: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Write the picture so far after this time.")
-    ] = 60.0,
+        str, typer.Option(metavar="TIME", help="Save the picture so far this often.")
+    ] = "60",
     report: Annotated[
-        bool, typer.Option("--report", help="Write a page that shows the picture as it grows.")
-    ] = False,
+        str | None, report_option("Write a page that shows the picture as it grows")
+    ] = None,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.cli.options import definitions, light_groups, size_of
+    from lambent.errors import OptionError
     from lambent.frame.sequence import parse_range
     from lambent.render.job import frames_of, render_all
     from lambent.render.plugins import allow
@@ -134,7 +139,9 @@ def render(
     if frames is not None and numbers is None:
         numbers = parse_range(frames)
     target = output or _default_output(scene, numbers is not None)
-    page = _Page(Path(target), report and numbers is None)
+    if report is not None and numbers is not None:
+        raise OptionError("a page follows one picture, and --frames makes several")
+    page = _Page(page_for(report, Path(target).with_suffix(".html")))
     told: list[str] = []
 
     def note(text: str) -> None:
@@ -158,7 +165,7 @@ def render(
             scene,
             target,
             spp=int(spp) if spp is not None and spp.isdigit() else spp,
-            time=time,
+            time=seconds_of("--time", time),
             target_error=target_error,
             size=size_of(size),
             frames=numbers,
@@ -172,7 +179,7 @@ def render(
             parameters=definitions(define),
             resume=resume,
             overwrite=overwrite,
-            checkpoint=checkpoint,
+            checkpoint=seconds_of("--checkpoint", checkpoint),
             device=device,
             report=tell,
             report_cycles=progress.report,
@@ -209,8 +216,8 @@ class _Page:
 
     EVERY = 5.0
 
-    def __init__(self, target: Path, wanted: bool) -> None:
-        self.path = target.with_suffix(".html") if wanted else None
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
         self.written: str | None = None
         self.states: list[tuple[float, int, float]] = []
         self._last = -1e9
@@ -243,7 +250,7 @@ class _Page:
 
 def _default_output(scene: Path, many: bool) -> str:
     stem = scene.parent.resolve().name if scene.stem == "scene" else scene.stem
-    return f"{stem}.####.exr" if many else f"{stem}.exr"
+    return str(scene.with_name(f"{stem}.####.exr" if many else f"{stem}.exr"))
 
 
 def _print(result: Rendered) -> None:

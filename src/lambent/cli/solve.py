@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    page_for,
+    print_json,
+    report_option,
+    seconds_of,
+    time_option,
+)
 from lambent.cli.progress import Progress, show_seconds
 from lambent.cli.terminal import remark, say
 
@@ -40,7 +51,8 @@ def solve(
             "--output",
             "-o",
             metavar="OUT.lambent",
-            help="Where to write. Default: SCENE.lambent here, for a scene.xml its folder's name.",
+            help="Where to write. Default: SCENE.lambent beside the scene; for a scene.xml, its "
+            "folder's name.",
         ),
     ] = None,
     method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",
@@ -88,23 +100,16 @@ def solve(
     steps: Annotated[
         int | None, typer.Option(metavar="N", help="Most steps of the solver (1000).")
     ] = None,
-    time: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Most time for the solver.")
-    ] = None,
+    time: Annotated[str | None, time_option("Stop the solver after this time")] = None,
     seed: Annotated[int | None, typer.Option(metavar="N", help="Of the random numbers.")] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
-    ] = None,
+    define: DefineOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on solving what the output holds.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     report: Annotated[
-        bool, typer.Option("--report", help="Write a page that shows the light as it grows.")
-    ] = False,
+        str | None, report_option("Write a page that shows the light as it grows")
+    ] = None,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -117,16 +122,15 @@ def solve(
 
     allow(allow_plugins or ())
 
-    target = output or Path(_default_name(scene))
+    target = output or scene.with_name(_default_name(scene))
     given = {
         "patches": patches, "size": patch_size, "adaptive": adaptive, "solver": solver,
         "factors": factors, "rays": rays, "samples": samples, "direct": direct,
-        "tolerance": tolerance, "steps": steps, "seconds": time, "seed": seed,
+        "tolerance": tolerance, "steps": steps, "seconds": seconds_of("--time", time), "seed": seed,
     }  # fmt: skip
-    page = None
-    if report:
-        path = check_target(target.with_suffix(".html"), overwrite or resume)
-        page = _Page(scene, path, definitions(define))
+    path, page = page_for(report, target.with_suffix(".html")), None
+    if path is not None:
+        page = _Page(scene, check_target(path, overwrite or resume), definitions(define))
     with Progress(scene.name, quiet=as_json) as progress:
         progress.report(0, 1, "loading the scene")
         solution = run(

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    print_json,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import say
 
@@ -39,11 +46,15 @@ def complete_shows(incomplete: str) -> list[tuple[str, str]]:
 def view(
     solution: Annotated[Path, typer.Argument(metavar="SOLUTION", help="A .lambent file.")],
     output: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help=".exr, .png, .mp4, .ply or .glb; shot.####.exr."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help=".exr, .png, .mp4, .ply or .glb; shot.####.exr. Default: SOLUTION.png; with "
+            "--frames SOLUTION.mp4, with --lightmap SOLUTION_lightmap.exr.",
         ),
-    ],
+    ] = None,
     show: Annotated[
         str,
         typer.Option(
@@ -55,11 +66,12 @@ def view(
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|N", help="Which camera of the scene.")
     ] = None,
-    stand: Annotated[
-        str | None, typer.Option("--from", metavar="X,Y,Z", help="Where a camera of yours stands.")
+    origin: Annotated[
+        str | None,
+        typer.Option("--origin", metavar="X,Y,Z", help="Where a camera of yours stands."),
     ] = None,
     target: Annotated[
-        str | None, typer.Option("--to", metavar="X,Y,Z", help="What it looks at.")
+        str | None, typer.Option("--target", metavar="X,Y,Z", help="What it looks at.")
     ] = None,
     fov: Annotated[
         float | None, typer.Option(metavar="DEGREES", help="Its field of view, across.")
@@ -91,14 +103,9 @@ def view(
     scene: Annotated[
         Path | None, typer.Option(metavar="SCENE", help="The scene, if it has moved.")
     ] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene, if not as solved."
-        ),
-    ] = None,
+    define: DefineOption = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace outputs.")] = False,
+    overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -110,6 +117,7 @@ def view(
     from lambent.frame.sequence import has_place, parse_range
     from lambent.transport.radiosity.shows import check_show
 
+    output = output or _default_output(solution, frames is not None, lightmap)
     suffix = Path(output).suffix.lower()
     known = (*PICTURES, *FILMS, *MESHES)
     if suffix not in known:
@@ -117,10 +125,13 @@ def view(
     check_show(show)
     moves = frames is not None
     light_alone = suffix in MESHES or lightmap
-    own = stand is not None or target is not None or fov is not None
+    own = origin is not None or target is not None or fov is not None
     for clash, words in (
-        (own and moves, "--from, --to and --fov are of one picture; keyframes move the camera"),
-        (own and light_alone, "--from, --to and --fov make no sense for what has no camera"),
+        (
+            own and moves,
+            "--origin, --target and --fov are of one picture; keyframes move the camera",
+        ),
+        (own and light_alone, "--origin, --target and --fov make no sense for what has no camera"),
         (moves and light_alone, "--frames makes no sense for what has no camera"),
         (animation is not None and not moves, "--animation needs --frames"),
         (not moves and has_place(output), f"'{output}' has a place for a number, but no --frames"),
@@ -171,8 +182,8 @@ def view(
             written += _film(made, output, suffix, fps, exposure, overwrite)
         else:
             frame = look.view(
-                opened, stand=point_of("--from", stand), target=point_of("--to", target), fov=fov,
-                **where, **looks,
+                opened, stand=point_of("--origin", origin), target=point_of("--target", target),
+                fov=fov, **where, **looks,
             )  # fmt: skip
             _write(frame, Path(output), exposure, overwrite)
             written.append(output)
@@ -187,6 +198,11 @@ def view(
 
 
 # ------------------------------------------------------------------- private
+
+
+def _default_output(solution: Path, moves: bool, lightmap: bool) -> str:
+    ending = "_lightmap.exr" if lightmap else ".mp4" if moves else ".png"
+    return str(solution.with_name(solution.stem + ending))
 
 
 def _beside(solution: Any, scene: Path | None) -> Path:
