@@ -233,7 +233,7 @@ def test_the_loupes_follow_the_pointer_over_all_images(visit):
 def test_keys_work_without_a_click_first(visit):
     zoom = visit.page.locator("#zoom")
     fitted = zoom.text_content()
-    visit.page.keyboard.press("1")
+    visit.page.keyboard.press("o")
     visit.settle()
     assert zoom.text_content() == "100 %" != fitted
     visit.page.keyboard.press("0")
@@ -243,7 +243,7 @@ def test_keys_work_without_a_click_first(visit):
 
 def test_keys_of_the_stage(visit):
     visit.page.locator("#stage").focus()
-    visit.page.keyboard.press("1")
+    visit.page.keyboard.press("o")
     visit.settle()
     assert visit.page.locator("#zoom").text_content() == "100 %"
     before = visit.page.locator("#where").text_content()

@@ -10,6 +10,7 @@ is given again.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -356,11 +357,15 @@ def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:
 
 
 def _print_line(result: Result, told: set[str]) -> None:
-    """One line a frame; a note that every frame would repeat is told once."""
-    new = [line for line in result.notes if line not in told]
-    told.update(new)
+    """One line a frame; a note is told once a sequence, though its figures differ in each frame."""
+    new = [line for line in result.notes if _without_figures(line) not in told]
+    told.update(map(_without_figures, new))
     remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
     say(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}")
+
+
+def _without_figures(note: str) -> str:
+    return re.sub(r"\d+(?:[.,]\d+)*", "#", note)
 
 
 def _print_many_plan(
