@@ -201,9 +201,7 @@ def _usage_error(error: Exception) -> LambentError | None:
 def _system_error(error: Exception) -> LambentError:
     """What no code of ours foresaw, still without a traceback."""
     if isinstance(error, MemoryError):
-        return LambentError(
-            "the memory is not enough", remedy="give a limit to work within: --max-memory 2G"
-        )
+        return LambentError("out of memory", remedy="set a limit to work within: --max-memory 2G")
     if isinstance(error, OSError) and error.filename is not None:
         from lambent.frame.opening import unreadable
 

@@ -1,7 +1,7 @@
 """Measure images against a reference, as a table or as one self-contained page.
 
-REF is the noise-free reference, the others are measured against it. All get the exposure of the
-reference. relMSE is printed with and without the worst 0.1 % of pixels (fireflies).
+REF is the noise-free reference, the others are measured against it. All are shown at the exposure
+of the reference. relMSE is printed with and without the worst 0.1 % of pixels (fireflies).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def compare(
         typer.Option(
             "--metrics",
             metavar="NAME,...",
-            help="Only these metrics; flip is both FLIPs.",
+            help="Only these metrics; 'flip' stands for both FLIPs.",
             autocompletion=complete_metrics,
         ),
     ] = None,

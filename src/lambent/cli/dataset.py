@@ -1,7 +1,7 @@
 """Make training data: crops with several noise levels, every feature and a clean target.
 
-A recipe, a small TOML file, says from which scenes, how many, how noisy; the documentation has all
-its keys. Making goes on where it stopped, whatever stopped it: give the same command again.
+A recipe, a small TOML file, states which scenes, how many crops and how noisy; the documentation
+lists its keys. The same command continues where it stopped, whatever stopped it.
 """
 
 from __future__ import annotations
@@ -51,30 +51,34 @@ def make(
             "--output",
             "-o",
             metavar="DIR",
-            help="Where the set is; in the cache, by its name, if not given.",
+            help="Folder of the set. Default: in the cache, under its name.",
         ),
     ] = None,
     count: Annotated[
-        int | None, typer.Option("--count", metavar="N", help="Crops, instead of the recipe's.")
+        int | None,
+        typer.Option("--count", metavar="N", help="Number of crops, instead of the recipe's."),
     ] = None,
     clips: Annotated[
-        int | None, typer.Option("--clips", metavar="N", help="Clips, instead of the recipe's.")
+        int | None,
+        typer.Option("--clips", metavar="N", help="Number of clips, instead of the recipe's."),
     ] = None,
     first: Annotated[
         int,
         typer.Option(
-            "--first", metavar="N", help="Number of the first crop; those below are made elsewhere."
+            "--first",
+            metavar="N",
+            help="Index of the first crop, if those before it are made elsewhere.",
         ),
     ] = 0,
     first_clip: Annotated[
-        int, typer.Option("--first-clip", metavar="N", help="The same of clips.")
+        int, typer.Option("--first-clip", metavar="N", help="The same for clips.")
     ] = 0,
     processes: Annotated[
         int,
         typer.Option(
             "--processes",
             metavar="N",
-            help="Processes; one already uses all processors. On a cluster: workers, 0 for all.",
+            help="Number of processes; one already uses all cores. On a cluster: workers, 0 for all.",
         ),
     ] = 1,
     cluster: Annotated[
@@ -88,7 +92,7 @@ def make(
     time: Annotated[str | None, time_option("Stop after this time")] = None,
     trust: Annotated[
         bool,
-        typer.Option("--trust", help="Compare only the sizes of the files there are, not hashes."),
+        typer.Option("--trust", help="Check existing files by size only, not by hash."),
     ] = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
@@ -154,7 +158,9 @@ def preview(
         ),
     ] = None,
     count: Annotated[int, typer.Option("--count", metavar="N", help="How many to show.")] = 24,
-    spp: Annotated[int, typer.Option("--spp", metavar="N", help="Of a recipe's views.")] = 32,
+    spp: Annotated[
+        int, typer.Option("--spp", metavar="N", help="Samples per pixel of a recipe's views.")
+    ] = 32,
     overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
@@ -183,7 +189,7 @@ def preview(
 
 @dataset.command()
 def info(folder: FolderArgument, as_json: JsonOption = False) -> None:
-    """Say what is in a set: items, sizes, noise levels, kinds, times, licences."""
+    """Summarise a set: items, sizes, noise levels, kinds, times, licences."""
     from lambent.dataset.summary import summary
 
     found = summary(folder)

@@ -1,10 +1,9 @@
 """Clean a noisy render, or a sequence of them.
 
-IN is an EXR (any renderer's; layers are found by themselves), several files, a pattern such as
+IN is an EXR from any renderer, whose layers are recognised; several files; a pattern such as
 shot.####.exr, or a directory. The result is written beside it as IN_clean.exr; a pattern becomes
 shot_clean.####.exr, a directory DIR_clean. Everything that is not denoised is written back bit for
-bit. A sequence skips frames that are finished, so a command that was interrupted goes on when it
-is given again.
+bit. Finished frames of a sequence are skipped, so repeating an interrupted command continues it.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ def denoise(
         str,
         typer.Option(
             metavar="beauty|all|NAME,...",
-            help="What to denoise: the beauty alone, all lighting layers too, or named ones.",
+            help="What to denoise: only the beauty, all lighting layers too, or the layers named.",
         ),
     ] = "all",
     strength: Annotated[
@@ -76,14 +75,15 @@ def denoise(
     keep_light: Annotated[
         bool,
         typer.Option(
-            "--keep-light", help="Give the light of fireflies to their surroundings, at some error."
+            "--keep-light",
+            help="Spread the light of fireflies over their surroundings, at some cost in error.",
         ),
     ] = False,
     alpha: Annotated[
         bool | None,
         typer.Option(
             "--alpha/--no-alpha",
-            help="Denoise the coverage too, or leave it. Default: only where it is noisy.",
+            help="Denoise alpha too, or leave it as it is. Default: only where it is noisy.",
             show_default=False,
         ),
     ] = None,
@@ -112,13 +112,13 @@ def denoise(
     ] = False,
     max_memory: Annotated[
         str | None,
-        typer.Option(metavar="4G", help="Stay under this much memory, working in tiles."),
+        typer.Option(metavar="4G", help="Use at most this much memory, working in tiles."),
     ] = None,
     threads: ThreadsOption = None,
     device: DeviceOption = "auto",
     overwrite: OverwriteOption = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done; write nothing.")
+        bool, typer.Option("--dry-run", help="Show what would be done; write nothing.")
     ] = False,
     as_json: JsonOption = False,
 ) -> int:

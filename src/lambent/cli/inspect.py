@@ -1,6 +1,6 @@
 """Show what is in a file: parts, channels, which layer is what and why, and what looks wrong.
 
-All values are decoded and counted: NaN, infinite, negative. Hints tell of what denoisers suffer
+All values are decoded and counted: NaN, infinite, negative. Hints point out what denoisers suffer
 from, such as a splatted pixel filter, tone-mapped colour, or clamped half values.
 """
 

@@ -54,14 +54,14 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="ROLE=LAYER",
-        help="Say yourself which layer has a role: --map albedo=tex, --map colour=0,1,2; or, for a "
-        "guide, which file: --map depth=depth.exr. Repeatable.",
+        help="State which layer has a role: --map albedo=tex, --map colour=0,1,2; for a guide in "
+        "another file, --map depth=depth.exr. Repeatable.",
         autocompletion=complete_roles,
     ),
 ]
 SppOption = Annotated[
     int | None,
-    typer.Option("--spp", metavar="N", help="Samples per pixel, where the file does not tell."),
+    typer.Option("--spp", metavar="N", help="Samples per pixel, if the file does not record them."),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -85,7 +85,7 @@ PluginsOption = Annotated[
     typer.Option(
         "--allow-plugins",
         metavar="DIR",
-        help="Let scenes load the plug-ins (native code) in this folder. Repeatable.",
+        help="Allow scenes to load plug-ins (native code) from this folder. Repeatable.",
     ),
 ]
 OverwriteOption = Annotated[
@@ -101,7 +101,7 @@ DefineOption = Annotated[
     ),
 ]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else there.")
+    bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else.")
 ]
 
 
@@ -193,7 +193,9 @@ def size_of(text: str | None) -> tuple[int, int] | None:
         return None
     width, _, height = text.lower().partition("x")
     if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise OptionError(f"--size '{text}' is no size in pixels", remedy="write --size 1280x720")
+        raise OptionError(
+            f"--size '{text}' is not a size in pixels", remedy="write --size 1280x720"
+        )
     return int(width), int(height)
 
 
@@ -205,7 +207,7 @@ def point_of(option: str, text: str | None) -> tuple[float, float, float] | None
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise OptionError(
-            f"{option} '{text}' is no point", remedy=f"write {option} 1,2,3"
+            f"{option} '{text}' is not a point", remedy=f"write {option} 1,2,3"
         ) from None
     return x, y, z
 

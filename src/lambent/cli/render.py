@@ -3,8 +3,8 @@
 SCENE is a Mitsuba scene (.xml), rendered by path tracing, or a Blender file (.blend), rendered by
 Cycles. The EXR holds colour, its variance and two half buffers, light split in several ways,
 albedo, normal, depth, position, roughness and alpha, each with its variance. Of a Mitsuba scene it
-is written again and again while the picture grows; after Ctrl-C it holds what was reached, and
---resume goes on. Cycles' pictures appear when they are whole.
+is updated while the picture grows; after Ctrl-C it holds what was reached, and --resume continues.
+Pictures by Cycles appear when they are finished.
 """
 
 from __future__ import annotations
@@ -65,12 +65,14 @@ def render(
     ] = None,
     spp: Annotated[
         str | None,
-        typer.Option(metavar="N|+N", help="Samples a pixel in all (64), or so many more."),
+        typer.Option(
+            metavar="N|+N", help="Samples per pixel in all (64), or +N for that many more."
+        ),
     ] = None,
     time: Annotated[str | None, time_option("Stop each picture after this time")] = None,
     target_error: Annotated[
         float | None,
-        typer.Option(metavar="RELMSE", help="End when the estimated error is this small."),
+        typer.Option(metavar="RELMSE", help="Stop when the estimated error is this small."),
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
@@ -81,7 +83,7 @@ def render(
     ] = None,
     animation: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Keyframes; default: SCENE.toml beside the scene."),
+        typer.Option(metavar="FILE.toml", help="Keyframes. Default: SCENE.toml beside the scene."),
     ] = None,
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|N", help="Which camera, if there are several.")
@@ -96,23 +98,27 @@ def render(
     ] = "all",
     depth: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Most vertices of a path; -1 endless. Default: scene's."),
+        typer.Option(
+            metavar="N", help="Most vertices of a path; -1 for no limit. Default: the scene's."
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
     integrator: Annotated[
         str,
-        typer.Option(metavar="NAME", help="path (ours), scene (its own), or one of Mitsuba's."),
+        typer.Option(
+            metavar="NAME", help="path (ours), scene (the scene's own), or one of Mitsuba's."
+        ),
     ] = "path",
     light_group: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=ID,...",
-            help="A layer for the light of these emitters: key=sun,lamp*. Repeatable.",
+            help="A separate layer for the light of these emitters: key=sun,lamp*. Repeatable.",
         ),
     ] = None,
     define: DefineOption = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what the output holds.")
+        bool, typer.Option("--resume", help="Continue with what the output holds.")
     ] = False,
     overwrite: OverwriteOption = False,
     checkpoint: Annotated[
@@ -151,7 +157,7 @@ def render(
     kept: list[str] = []
 
     def keep(path: Path, moments: Moments) -> None:
-        kept[:] = [f"{path} holds {moments.spp} samples a pixel; --resume goes on with them"]
+        kept[:] = [f"{path} holds {moments.spp} samples a pixel; --resume continues with them"]
 
     with _saying_what_is_kept(kept), Progress(scene.name, quiet=as_json) as progress:
 

@@ -1,8 +1,8 @@
 """Solve the light of a scene once; `lambent view` then shows it from anywhere.
 
 SCENE is a Mitsuba scene (.xml). By radiosity: surfaces are cut into patches, taken as diffuse, and
-the light between them is solved for, bounces without end. Materials that are not diffuse are taken
-for what they are nearest to, and named. Ctrl-C keeps the solution so far; --resume goes on.
+the light between them is solved for, with all its bounces. Materials that are not diffuse are
+replaced by the nearest that is, and named. Ctrl-C keeps the solution so far; --resume continues.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ def solve(
     ] = None,
     method: Annotated[str, typer.Option(metavar="NAME", help="radiosity.")] = "radiosity",
     patches: Annotated[
-        int | None, typer.Option("--patches", metavar="N", help="About so many patches (4000).")
+        int | None, typer.Option("--patches", metavar="N", help="Roughly this many patches (4000).")
     ] = None,
     patch_size: Annotated[
         float | None,
-        typer.Option("--patch-size", metavar="S", help="Their length in the scene's unit instead."),
+        typer.Option("--patch-size", metavar="S", help="Their size in scene units instead."),
     ] = None,
     adaptive: Annotated[
-        bool | None, typer.Option("--adaptive", help="Cut finer where the picture changes.")
+        bool | None, typer.Option("--adaptive", help="Refine where the picture changes.")
     ] = None,
     solver: Annotated[
         str | None,
@@ -79,32 +79,34 @@ def solve(
         str | None,
         typer.Option(metavar="rays|pairs", help="Form factors by rays (default), or pair by pair."),
     ] = None,
-    rays: Annotated[
-        int | None, typer.Option(metavar="N", help="Rays from every patch (256).")
-    ] = None,
+    rays: Annotated[int | None, typer.Option(metavar="N", help="Rays per patch (256).")] = None,
     samples: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Samples of the emitters for every patch (512)."),
+        typer.Option(metavar="N", help="Samples of the emitters per patch (512)."),
     ] = None,
     direct: Annotated[
         str | None,
         typer.Option(
             metavar="samples|factors",
-            help="Light straight from emitters: sampled (default), or through F.",
+            help="Direct light: sampled (default), or through form factors.",
         ),
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option(metavar="X", help="End at this residual, relative to the first light (1e-6)."),
+        typer.Option(
+            metavar="X", help="Stop at this residual, relative to the first light (1e-6)."
+        ),
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(metavar="N", help="Most steps of the solver (1000).")
+        int | None, typer.Option(metavar="N", help="At most this many steps of the solver (1000).")
     ] = None,
     time: Annotated[str | None, time_option("Stop the solver after this time")] = None,
-    seed: Annotated[int | None, typer.Option(metavar="N", help="Of the random numbers.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Seed of the random numbers.")
+    ] = None,
     define: DefineOption = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on solving what the output holds.")
+        bool, typer.Option("--resume", help="Continue with what the output holds.")
     ] = False,
     overwrite: OverwriteOption = False,
     report: Annotated[

@@ -1,8 +1,7 @@
 """Train a denoiser from a recipe, or fine-tune one to your own renders.
 
 A recipe is a small TOML file; the run keeps its state, log, pictures and best weights in a folder,
-and goes on where it stopped, whatever stopped it: give the same command again. Needs the extra
-`train` (pip install 'lambent[train]').
+and the same command continues it, whatever stopped it. Needs the extra `train` (pip install 'lambent[train]').
 """
 
 from __future__ import annotations
@@ -38,19 +37,22 @@ EPILOG = "Example: lambent train recipes/train/denoiser.toml --report training.h
 
 def train(
     recipe: Annotated[
-        Path | None, typer.Argument(metavar="[RECIPE]", help="A TOML file; none to fine-tune.")
+        Path | None,
+        typer.Argument(metavar="[RECIPE]", help="A TOML file; leave it out to fine-tune."),
     ] = None,
     run: Annotated[
         Path | None,
-        typer.Option("--run", metavar="DIR", help="Folder of the run; else in the cache, by name."),
+        typer.Option(
+            "--run", metavar="DIR", help="Folder of the run. Default: in the cache, by name."
+        ),
     ] = None,
     steps: Annotated[
         int | None,
-        typer.Option("--steps", metavar="N", help="Stop after so many steps in all, for now."),
+        typer.Option("--steps", metavar="N", help="Stop after this many steps in all, for now."),
     ] = None,
     start: Annotated[
         str | None,
-        typer.Option("--from", metavar="MODEL", help="Begin with this model's weights."),
+        typer.Option("--from", metavar="MODEL", help="Begin with the weights of a model or a run."),
     ] = None,
     data: Annotated[
         list[Path] | None,
@@ -144,7 +146,7 @@ def train(
                 seconds=seconds, device=device, progress=watch.report,
             )  # fmt: skip
         except KeyboardInterrupt:
-            remark(f"stopped; the same command goes on. The run is in {folder}")
+            remark(f"stopped; the same command continues it. The run is in {folder}")
             raise
     if int(os.environ.get("RANK", 0)):  # by torchrun: the first process tells
         return

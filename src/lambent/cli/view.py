@@ -1,6 +1,6 @@
 """Look at a solved scene: a picture, a film, or a mesh that carries its light.
 
-SOLUTION is a file of `lambent solve`. The output's ending says what is made: .exr (all features,
+SOLUTION is a file of `lambent solve`. The output's ending decides what is made: .exr (all features,
 which `lambent denoise` can use), .png, .mp4 (with --frames), .ply and .glb (light in the vertices);
 an .exr with --lightmap holds the light of all surfaces as one image.
 """
@@ -68,20 +68,18 @@ def view(
     ] = None,
     origin: Annotated[
         str | None,
-        typer.Option("--origin", metavar="X,Y,Z", help="Where a camera of yours stands."),
+        typer.Option("--origin", metavar="X,Y,Z", help="Position of a camera of your own."),
     ] = None,
     target: Annotated[
-        str | None, typer.Option("--target", metavar="X,Y,Z", help="What it looks at.")
+        str | None, typer.Option("--target", metavar="X,Y,Z", help="The point it looks at.")
     ] = None,
     fov: Annotated[
-        float | None, typer.Option(metavar="DEGREES", help="Its field of view, across.")
+        float | None, typer.Option(metavar="DEGREES", help="Its horizontal field of view.")
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
     ] = None,
-    spp: Annotated[
-        int | None, typer.Option(metavar="N", help="Samples a pixel; 64 if not given.")
-    ] = None,
+    spp: Annotated[int | None, typer.Option(metavar="N", help="Samples per pixel (64).")] = None,
     features: Annotated[
         str, typer.Option(metavar="all|none|NAME,...", help="Layers of an .exr.")
     ] = "all",
@@ -90,21 +88,25 @@ def view(
     ] = None,
     animation: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Its keyframes; default: SCENE.toml beside it."),
+        typer.Option(
+            metavar="FILE.toml", help="Its keyframes. Default: SCENE.toml beside the scene."
+        ),
     ] = None,
     fps: Annotated[float, typer.Option(metavar="N", help="Frames a second of a film.")] = 24.0,
     exposure: Annotated[
         float | None,
-        typer.Option(metavar="X", help="Factor for .png, .mp4, .glb, .ply. Default: automatic; 1."),
+        typer.Option(
+            metavar="X", help="Factor. Default: automatic for .png and .mp4, 1 for .glb and .ply."
+        ),
     ] = None,
     lightmap: Annotated[
-        bool, typer.Option("--lightmap", help="The light of all surfaces as one image.")
+        bool, typer.Option("--lightmap", help="Write the light of all surfaces as one image.")
     ] = False,
     scene: Annotated[
-        Path | None, typer.Option(metavar="SCENE", help="The scene, if it has moved.")
+        Path | None, typer.Option(metavar="SCENE", help="Path of the scene, if it has moved.")
     ] = None,
     define: DefineOption = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
     overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",

@@ -21,6 +21,9 @@ from typing import Any
 import lambent
 from lambent.frame.atomic import atomic
 
+#: Which way is better, in a heading.
+_ARROWS = re.compile('<span class="way".*?</span>')
+
 
 def escape(text: object) -> str:
     """Text for markup and for quoted attributes; control characters become visible."""
@@ -101,7 +104,7 @@ def table(
         f'<th scope="col" class="text">{h}</th>' if text else f'<th scope="col">{h}</th>'
         for h, text in zip(headings, texts, strict=True)
     )
-    labels = [html.unescape(re.sub("<[^>]*>", "", h)).strip() for h in headings]
+    labels = [html.unescape(re.sub("<[^>]*>", "", _ARROWS.sub("", h))).strip() for h in headings]
     body = "".join(
         "<tr>"
         + f'<th scope="row">{row[0]}</th>'

@@ -80,8 +80,8 @@ def viewer(results: Comparison, kinds: list[Metric]) -> str:
 <p class="keys" id="keys">Wheel or <kbd>+</kbd> <kbd>−</kbd> zoom, drag or arrow keys move
 (<kbd>Shift</kbd>: one pixel), <kbd>0</kbd> fit, <kbd>o</kbd> one to one, <kbd>[</kbd> <kbd>]</kbd>
 exposure. <kbd>1</kbd> to <kbd>9</kbd> show one picture, with <kbd>Shift</kbd> they choose B;
-<kbd>b</kbd> blinks between A and B, <kbd>x</kbd> swaps them, <kbd>s</kbd> slider, <kbd>g</kbd> grid.
-The divider takes arrow keys too.</p>
+<kbd>b</kbd> blinks between A and B, <kbd>x</kbd> swaps them, <kbd>s</kbd> slider, <kbd>g</kbd>
+grid. The divider takes arrow keys too.</p>
 </section>"""
 
 

@@ -74,7 +74,7 @@
     if (!pane) return 1;
     const scale = Math.min(pane.canvas.clientWidth / W, pane.canvas.clientHeight / H);
     const ratio = window.devicePixelRatio || 1;
-    return scale > 1 ? Math.floor(scale * ratio) / ratio : scale;   // whole pixels stay whole
+    return scale >= 3 ? Math.floor(scale * ratio) / ratio : scale;   // whole pixels stay whole
   }
 
   const scaleNow = () => (state.fit ? fitScale() : state.scale);
@@ -114,7 +114,7 @@
     if (!canvas) return;
     const [cx, cy] = centreNow();
     const ratio = pane.ratio, w = pane.canvas.width, h = pane.canvas.height;
-    context.imageSmoothingEnabled = scale * ratio < 1;
+    context.imageSmoothingEnabled = scale * ratio < 1 || (state.fit && scale < 3);
     context.imageSmoothingQuality = "high";
     const left = Math.round(w / 2 - cx * scale * ratio), top = Math.round(h / 2 - cy * scale * ratio);
     context.drawImage(canvas, left, top, Math.round(W * scale * ratio), Math.round(H * scale * ratio));
