@@ -108,3 +108,24 @@ def test_a_report_never_takes_an_input_for_its_page(tmp_path, capsys):
 def test_one_page_is_not_for_several_frames(capsys):
     assert main(["denoise", "a.exr", "b.exr", "--report", "page.html"]) == 4
     assert "a page beside each" in capsys.readouterr().err
+
+
+def test_a_note_is_told_once_a_sequence_though_its_figures_differ(capsys):
+    from lambent.cli.denoise import _print_line
+    from lambent.denoise.files import Result
+
+    told = set()
+    for share in ("3.4", "12.0"):
+        result = Result(
+            **{
+                **dict.fromkeys(Result.__dataclass_fields__),
+                "output": Path("a.exr"),
+                "repairs": (),
+                "seconds": {"total": 1.0},
+                "notes": (f"the denoised beauty holds {share}% less light than the noisy one",),
+            }
+        )
+        _print_line(result, told)
+    lines = capsys.readouterr().out.splitlines()
+    assert "3.4% less light" in lines[0]
+    assert "light" not in lines[1]

@@ -97,7 +97,7 @@ def test_a_camera_of_one_s_own(capsys, solved, tmp_path):
     assert run(capsys, "view", solved, "-o", path, *options)[0] == 0
     code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--origin", "1,2")
     assert code == 4
-    assert "is no point" in err
+    assert "is not a point" in err
     code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--origin", "0,0,0")
     assert code == 4
     assert "--target" in err

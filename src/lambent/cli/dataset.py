@@ -78,7 +78,7 @@ def make(
         typer.Option(
             "--processes",
             metavar="N",
-            help="Number of processes; one already uses all cores. On a cluster: workers, 0 for all.",
+            help="Processes; one already uses all cores. On a cluster: workers, 0 for all.",
         ),
     ] = 1,
     cluster: Annotated[

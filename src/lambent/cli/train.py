@@ -1,7 +1,8 @@
 """Train a denoiser from a recipe, or fine-tune one to your own renders.
 
 A recipe is a small TOML file; the run keeps its state, log, pictures and best weights in a folder,
-and the same command continues it, whatever stopped it. Needs the extra `train` (pip install 'lambent[train]').
+and the same command continues it, whatever stopped it. Needs the extra `train`
+(pip install 'lambent[train]').
 """
 
 from __future__ import annotations
