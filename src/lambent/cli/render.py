@@ -122,8 +122,8 @@ def render(
     ] = False,
     overwrite: OverwriteOption = False,
     checkpoint: Annotated[
-        str, typer.Option(metavar="TIME", help="Save the picture so far this often.")
-    ] = "60",
+        str | None, typer.Option(metavar="TIME", help="Save the picture so far this often (60).")
+    ] = None,
     report: Annotated[
         str | None, report_option("Write a page that shows the picture as it grows")
     ] = None,
@@ -185,7 +185,7 @@ def render(
             parameters=definitions(define),
             resume=resume,
             overwrite=overwrite,
-            checkpoint=seconds_of("--checkpoint", checkpoint),
+            checkpoint=seconds_of("--checkpoint", checkpoint) or 60.0,
             device=device,
             report=tell,
             report_cycles=progress.report,
