@@ -40,6 +40,20 @@ def test_the_table_fits_the_terminal(capsys, monkeypatch):
         assert max(map(len, capsys.readouterr().out.splitlines())) <= columns
 
 
+def test_the_table_has_three_groups_with_a_line_for_each_model(capsys):
+    assert main(["models"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    headings = [line for line in lines if line and not line.startswith(" ")]
+    assert [h.split()[0] for h in headings] == ["For", "From", "Floors:", "What"]
+    work, papers, floors = (lines.index(h) for h in headings[:3])
+    where = {line.split()[0]: n for n, line in enumerate(lines) if line.startswith("  ")}
+    assert list(sorted(where)) == sorted(DENOISERS)
+    assert sum(line.startswith("  ") for line in lines) == len(DENOISERS)
+    assert work < where["lambent"] < papers
+    assert work < where["nfor-tuned"] < papers
+    assert papers < where["nfor"] < floors < where["box"]
+
+
 def test_an_unknown_model_is_answered_with_the_nearest(capsys):
     assert main(["models", "oidm"]) == 4
     assert "did you mean oidn" in capsys.readouterr().err

@@ -93,14 +93,14 @@ def test_pictures(capsys, solved, tmp_path):
 
 def test_a_camera_of_one_s_own(capsys, solved, tmp_path):
     path = tmp_path / "a.png"
-    options = ("--from", "0.5,0,0", "--to", "-1,-0.2,0", "--fov", "60")
+    options = ("--origin", "0.5,0,0", "--target", "-1,-0.2,0", "--fov", "60")
     assert run(capsys, "view", solved, "-o", path, *options)[0] == 0
-    code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--from", "1,2")
+    code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--origin", "1,2")
     assert code == 4
-    assert "is no point" in err
-    code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--from", "0,0,0")
+    assert "is not a point" in err
+    code, _, err = run(capsys, "view", solved, "-o", tmp_path / "b.png", "--origin", "0,0,0")
     assert code == 4
-    assert "--to" in err
+    assert "--target" in err
 
 
 def test_films_and_frames(capsys, solved, tmp_path):

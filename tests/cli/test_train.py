@@ -4,12 +4,17 @@ import json
 import os
 import subprocess
 import sys
+import types
+from pathlib import Path
 
 import pytest
 
 from lambent.cli import main
 
 pytest.importorskip("torch")
+
+from lambent.cli import train
+from lambent.learn.loop import Run
 
 
 def run(capsys, *args):
@@ -40,10 +45,12 @@ def test_an_unknown_task(capsys, tmp_path):
     assert "did you mean denoise" in err
 
 
-def test_fine_tuning_needs_an_output(capsys, tmp_path):
+def test_fine_tuning_writes_beside_the_first_frame_and_replaces_nothing(capsys, tmp_path):
+    (tmp_path / "a_tuned.lambent").write_text("precious")
     code, _, err = run(capsys, "train", "--data", tmp_path / "a.exr")
-    assert code == 4
-    assert "-o" in err
+    assert code == 2
+    assert "a_tuned.lambent" in err
+    assert "exists already" in err
 
 
 def test_an_existing_output_is_kept(capsys, tmp_path):
@@ -115,3 +122,46 @@ def test_a_whole_run(capsys, tmp_path, monkeypatch):
     )  # fmt: skip
     assert code == 0, err
     assert (tmp_path / "clean.exr").exists()
+
+
+def test_the_first_recipe_is_small_and_learns(capsys, tmp_path, monkeypatch):
+    """Fewer crops and steps than a person takes; the error is far below the input's."""
+    monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
+    recipes = Path(__file__).resolve().parents[2] / "recipes"
+    data = tmp_path / "first.toml"
+    data.write_text((recipes / "first.toml").read_text().replace("count = 64", "count = 16"))
+    recipe = tmp_path / "train" / "first.toml"
+    recipe.parent.mkdir()
+    text = (recipes / "train" / "first.toml").read_text()
+    for old, new in (("steps = 300", "steps = 40"), ("check_every = 30", "check_every = 20")):
+        assert old in text
+        text = text.replace(old, new)
+    recipe.write_text(text)
+    pages = []
+    written = train._Watch.write_page
+    monkeypatch.setattr(
+        train._Watch,
+        "write_page",
+        lambda self, running=True: (written(self, running), pages.append(self.page.read_text())),
+    )
+    code, out, err = run(capsys, "train", recipe, "--threads", 1, "--report", "--json")
+    assert code == 0, err
+    result = json.loads(out)
+    assert result["best"]["check"]["relmse/noisy"] < 0.5
+    assert result["report"].endswith("/runs/first/report.html")
+    assert "1 of 40" in pages[0]  # from the first step
+    assert "Loss" in pages[0]
+    assert "40 of 40" in pages[-1]
+
+
+def test_the_progress_line_has_the_newest_loss_and_score(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text(
+        '{"step": 1, "loss": 0.5}\n{"step": 30, "check": {"score": 1.25}}\n'
+        '{"step": 50, "loss": 0.125}\n'
+    )
+    shown = []
+    place = types.SimpleNamespace(report=lambda *state: shown.append(state))
+    watch = train._Watch(Run(tmp_path), None, None, place)
+    watch.report(51, 300, "training x, step 51 of 300")
+    assert shown == [(51, 300, "training x, step 51 of 300, loss 0.1250, score 1.250")]

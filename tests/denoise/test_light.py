@@ -5,6 +5,7 @@ import pytest
 
 import lambent
 from lambent.denoise.light import BLOCK, MOST, gain
+from lambent.denoise.pipeline import _light_note
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 
@@ -60,3 +61,11 @@ def test_it_is_part_of_what_makes_a_sequence():
     from lambent.denoise.pipeline import Settings
 
     assert Settings.checked(keep_light=True).key() != Settings.checked().key()
+
+
+@pytest.mark.parametrize(
+    ("factor", "notes"), [(1.0, 0), (0.98, 0), (1.029, 0), (0.95, 1), (1.04, 1)]
+)
+def test_a_change_of_light_is_noted_from_three_per_cent_on(factor, notes):
+    image = np.full((8, 8, 3), 0.5, np.float32)
+    assert len(_light_note(image, image * np.float32(factor))) == notes

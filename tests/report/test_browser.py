@@ -233,7 +233,7 @@ def test_the_loupes_follow_the_pointer_over_all_images(visit):
 def test_keys_work_without_a_click_first(visit):
     zoom = visit.page.locator("#zoom")
     fitted = zoom.text_content()
-    visit.page.keyboard.press("1")
+    visit.page.keyboard.press("o")
     visit.settle()
     assert zoom.text_content() == "100 %" != fitted
     visit.page.keyboard.press("0")
@@ -241,9 +241,76 @@ def test_keys_work_without_a_click_first(visit):
     assert zoom.text_content() == fitted
 
 
+def test_number_keys_show_one_picture_and_b_blinks(visit):
+    """Keys as in tev: numbers choose, with Shift the other; b changes between both."""
+    press = visit.page.keyboard.press
+    for key, colour in (("1", "b"), ("2", "r"), ("Shift+Digit3", "g"), ("b", "r"), ("b", "g")):
+        press(key)
+        assert visit.strongest(0.3, 0.4, 0.7, 0.6) == colour, key
+        assert visit.page.locator("#stage canvas").count() == 1
+    press("9")  # there is no ninth
+    assert visit.strongest(0.3, 0.4, 0.7, 0.6) == "g"
+    press("g")
+    assert visit.page.locator("#stage canvas").count() == 3
+    press("2")
+    assert visit.page.locator("#stage .tag").all_text_contents() == ["red <b>"]
+    press("s")
+    assert visit.strongest(0.3, 0.4, 0.45, 0.6) == "r"
+    assert visit.strongest(0.55, 0.4, 0.7, 0.6) == "g"
+
+
+@pytest.mark.parametrize(
+    ("size", "columns"), [((1280, 900), 2), ((2200, 1200), 2), ((390, 844), 1)]
+)
+def test_the_grid_has_two_columns_and_fills_the_window(browser, report, size, columns):
+    there = Visit(browser, report)
+    there.page.set_viewport_size({"width": size[0], "height": size[1]})
+    page = there.ready()
+    page.locator("input[name=view][value=grid]").check(force=True)
+    there.settle()
+    boxes = [pane.bounding_box() for pane in page.locator("#stage .pane").all()]
+    there.context.close()
+    assert len({round(box["x"]) for box in boxes}) == columns
+    left, right = min(b["x"] for b in boxes), max(b["x"] + b["width"] for b in boxes)
+    assert right - left > size[0] - 60
+    rows = boxes[::columns]
+    if columns == 2:
+        assert rows[-1]["y"] + rows[-1]["height"] - rows[0]["y"] > 0.75 * size[1]
+    assert there.trouble == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_tables_fit(browser, comparison, tmp_path, width):
+    """Nothing is to be scrolled to, with long names, a model and a time of every picture."""
+    images = {p.name: p.image for p in comparison.pictures}
+    names = {"a rather long name of a model, tuned": images["green"], "red": images["red <b>"]}
+    about = {"model": "nfor-tuned", "seconds": 12.25, "cleaned": "combined, diffuse and 6 more"}
+    found = compare(comparison.reference.image, names, details=dict.fromkeys(names, about))
+    there = Visit(browser, write_report(tmp_path / "t.html", found))
+    there.page.set_viewport_size({"width": width, "height": 800})
+    page = there.ready()
+    sizes = page.evaluate(
+        "() => [...document.querySelectorAll('.scroll')].map(s => [s.scrollWidth, s.clientWidth])"
+    )
+    wide = page.evaluate("() => document.documentElement.scrollWidth")
+    there.context.close()
+    assert len(sizes) == 2
+    assert all(inner <= outer for inner, outer in sizes), sizes
+    assert wide <= width
+
+
+def test_the_table_of_images_sorts_by_words_and_by_numbers(visit):
+    names = "() => [...document.querySelectorAll('#images tbody th')].map(h => h.textContent)"
+    visit.page.locator("#images thead button", has_text="Image").click()
+    assert visit.page.evaluate(names) == ["green", "red <b>", "reference"]
+    visit.page.locator("#images thead button", has_text="Not finite").click()
+    visit.page.locator("#images thead button", has_text="Not finite").click()
+    assert visit.page.evaluate(names)[0] == "red <b>"
+
+
 def test_keys_of_the_stage(visit):
     visit.page.locator("#stage").focus()
-    visit.page.keyboard.press("1")
+    visit.page.keyboard.press("o")
     visit.settle()
     assert visit.page.locator("#zoom").text_content() == "100 %"
     before = visit.page.locator("#where").text_content()

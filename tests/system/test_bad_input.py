@@ -281,10 +281,11 @@ def test_output_equals_input_with_overwrite(noisy):
 @pytest.mark.parametrize("command", ["explain", "compare", "inspect"])
 def test_an_input_is_never_replaced_by_what_is_made_from_it(refused, noisy, command):
     """Not even with --overwrite: it would be a picture or a page in the place of a render."""
+    noisy = noisy.rename(noisy.with_name("noisy.html"))  # else no page would be called like it
     options = {
         "explain": [noisy, "--pixel", "5,5", "--model", "box", "-o", noisy],
         "compare": [noisy, noisy, "--report", noisy],
-        "inspect": [noisy, "-o", noisy],
+        "inspect": [noisy, "--report", noisy],
     }[command]
     assert "is an input" in refused(command, *options, "--overwrite", code=2)
 

@@ -14,7 +14,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "dataset"))
 
 from lambent.cli import main
-from lambent.cli.dataset import parse_time
+from lambent.cli.options import seconds_of
 from lambent.errors import OptionError
 
 ROOT = Path(__file__).parents[2]
@@ -125,7 +125,7 @@ def test_counts_on_the_command_line_and_time(recipe, tmp_path, capsys):
         (["make", "none.toml"], 2, "no such recipe"),
         (["info", "nowhere"], 2, "no data set"),
         (["verify", "nowhere"], 2, "no data set"),
-        (["make", "{recipe}", "--time", "soon"], 4, "90s, 30m or 2h"),
+        (["make", "{recipe}", "--time", "soon"], 4, "45s, 90m or 2h"),
         (["make", "{recipe}", "--count", "0", "--clips", "0"], 4, "no items"),
         (["make", "{recipe}", "--processes", "-1"], 4, "makes no sense"),
         (["preview", "{recipe}", "-o", "nowhere/sheet.png"], 2, "does not exist"),
@@ -155,10 +155,10 @@ def test_validation_scenes_are_refused(recipe, tmp_path, capsys):
 
 
 def test_times():
-    found = [parse_time(t) for t in ("90", "90s", "1.5 m", "30min", "2h")]
+    found = [seconds_of("--time", t) for t in ("90", "90s", "1.5 m", "30min", "2h")]
     assert found == [90, 90, 90, 1800, 7200]
     with pytest.raises(OptionError):
-        parse_time("-3s")
+        seconds_of("--time", "-3s")
 
 
 @pytest.mark.parametrize("command", [[], ["make"], ["preview"], ["info"], ["verify"]])

@@ -181,6 +181,6 @@ def test_ctrl_c_says_what_was_kept(tmp_path):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     if out.exists():
-        assert re.search(r"out\.exr holds \d+ samples a pixel; --resume goes on", err), err
+        assert re.search(r"out\.exr holds \d+ samples a pixel; --resume continues", err), err
     else:
         assert "nothing is kept" in err

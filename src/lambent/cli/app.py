@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from lambent.cli.options import Command
 from lambent.cli.process import say_interrupted
 from lambent.cli.terminal import remark, say
 from lambent.errors import (
@@ -40,7 +41,7 @@ COMMANDS = {
     "render": "Render a Mitsuba scene or a .blend, with every feature.",
     "solve": "Solve the light of a scene once, to look at it from anywhere.",
     "view": "Look at a solved scene: pictures, films, meshes, lightmaps.",
-    "models": "List the denoisers: what they need, cost, and which paper they are from.",
+    "models": "List the denoisers, or describe one.",
     "doctor": "Check this machine: processor, engines, memory, speed; say what to fix.",
 }
 
@@ -75,9 +76,12 @@ class LazyCommands(TyperGroup):
         single = typer.Typer(
             add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
         )
-        single.command(name=cmd_name, help=module.__doc__, epilog=getattr(module, "EPILOG", None))(
-            found
-        )
+        single.command(
+            name=cmd_name,
+            cls=Command,
+            help=module.__doc__,
+            epilog=getattr(module, "EPILOG", None),
+        )(found)
         return typer.main.get_command(single)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -201,9 +205,7 @@ def _usage_error(error: Exception) -> LambentError | None:
 def _system_error(error: Exception) -> LambentError:
     """What no code of ours foresaw, still without a traceback."""
     if isinstance(error, MemoryError):
-        return LambentError(
-            "the memory is not enough", remedy="give a limit to work within: --max-memory 2G"
-        )
+        return LambentError("out of memory", remedy="set a limit to work within: --max-memory 2G")
     if isinstance(error, OSError) and error.filename is not None:
         from lambent.frame.opening import unreadable
 

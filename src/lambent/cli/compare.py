@@ -1,7 +1,7 @@
 """Measure images against a reference, as a table or as one self-contained page.
 
-REF is the noise-free reference, the others are measured against it. All get the exposure of the
-reference. relMSE is printed with and without the worst 0.1 % of pixels (fireflies).
+REF is the noise-free reference, the others are measured against it. All are shown at the exposure
+of the reference. relMSE is printed with and without the worst 0.1 % of pixels (fireflies).
 """
 
 from __future__ import annotations
@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lambent.cli.options import JsonOption, check_output, print_json
+from lambent.cli.options import (
+    JsonOption,
+    OverwriteOption,
+    check_output,
+    page_for,
+    print_json,
+    report_option,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import say
 
@@ -36,17 +43,12 @@ def compare(
         typer.Option(
             "--metrics",
             metavar="NAME,...",
-            help="Only these metrics; flip is both FLIPs.",
+            help="Only these metrics; 'flip' stands for both FLIPs.",
             autocompletion=complete_metrics,
         ),
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="OUT.html", help="Write a page to look at."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a report that exists.")
-    ] = False,
+    report: Annotated[str | None, report_option("Write a page to compare by eye")] = None,
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
@@ -55,7 +57,8 @@ def compare(
 
     chosen(metrics)  # a wrong name before files are read
     _check_inputs([reference, *images])
-    check_output(report, overwrite, [reference, *images])
+    page = page_for(report, images[0].with_name(f"{images[0].stem}_comparison.html"))
+    check_output(page, overwrite, [reference, *images])
     with Progress("comparing", quiet=as_json) as progress:
         comparison = measure(
             reference,
@@ -63,18 +66,18 @@ def compare(
             metrics,
             progress=lambda text, done, total: progress.report(done, total, text),
         )
-        if report is not None:
+        if page is not None:
             from lambent.report import write_report
 
             progress.report(0, 1, "writing the page")
-            write_report(report, comparison)
+            write_report(page, comparison)
     if as_json:
         found = comparison.as_dict()
-        print_json({**found, "report": None if report is None else str(report)})
+        print_json({**found, "report": None if page is None else str(page)})
         return
     _print_table(comparison)
-    if report is not None:
-        say("", report)
+    if page is not None:
+        say("", page)
 
 
 # ------------------------------------------------------------------- private

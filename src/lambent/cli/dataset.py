@@ -1,7 +1,7 @@
 """Make training data: crops with several noise levels, every feature and a clean target.
 
-A recipe, a small TOML file, says from which scenes, how many, how noisy; the documentation has all
-its keys. Making goes on where it stopped, whatever stopped it: give the same command again.
+A recipe, a small TOML file, states which scenes, how many crops and how noisy; the documentation
+lists its keys. The same command continues where it stopped, whatever stopped it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    print_json,
+    seconds_of,
+    time_option,
+)
 from lambent.cli.progress import Progress, show_seconds
 from lambent.cli.terminal import remark, say
 
@@ -43,30 +51,34 @@ def make(
             "--output",
             "-o",
             metavar="DIR",
-            help="Where the set is; in the cache, by its name, if not given.",
+            help="Folder of the set. Default: in the cache, under its name.",
         ),
     ] = None,
     count: Annotated[
-        int | None, typer.Option("--count", metavar="N", help="Crops, instead of the recipe's.")
+        int | None,
+        typer.Option("--count", metavar="N", help="Number of crops, instead of the recipe's."),
     ] = None,
     clips: Annotated[
-        int | None, typer.Option("--clips", metavar="N", help="Clips, instead of the recipe's.")
+        int | None,
+        typer.Option("--clips", metavar="N", help="Number of clips, instead of the recipe's."),
     ] = None,
     first: Annotated[
         int,
         typer.Option(
-            "--first", metavar="N", help="Number of the first crop; those below are made elsewhere."
+            "--first",
+            metavar="N",
+            help="Index of the first crop, if those before it are made elsewhere.",
         ),
     ] = 0,
     first_clip: Annotated[
-        int, typer.Option("--first-clip", metavar="N", help="The same of clips.")
+        int, typer.Option("--first-clip", metavar="N", help="The same for clips.")
     ] = 0,
     processes: Annotated[
         int,
         typer.Option(
             "--processes",
             metavar="N",
-            help="Processes; one already uses all processors. On a cluster: workers, 0 for all.",
+            help="Processes; one already uses all cores. On a cluster: workers, 0 for all.",
         ),
     ] = 1,
     cluster: Annotated[
@@ -77,13 +89,10 @@ def make(
             help="Work on a Ray cluster: its address, 'auto' for the one running here, or 'local'.",
         ),
     ] = None,
-    time: Annotated[
-        str | None,
-        typer.Option("--time", metavar="TIME", help="Stop after so long: 90s, 30m, 2h."),
-    ] = None,
+    time: Annotated[str | None, time_option("Stop after this time")] = None,
     trust: Annotated[
         bool,
-        typer.Option("--trust", help="Compare only the sizes of the files there are, not hashes."),
+        typer.Option("--trust", help="Check existing files by size only, not by hash."),
     ] = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
@@ -101,7 +110,6 @@ def make(
     from lambent.render.plugins import allow
 
     allow(allow_plugins or ())
-    seconds = None if time is None else parse_time(time)
     chosen = load_recipe(recipe)
     if count is not None:
         chosen = dataclasses.replace(chosen, count=count)
@@ -118,7 +126,7 @@ def make(
                 processes=processes,
                 cluster=cluster,
                 device=device,
-                seconds=seconds,
+                seconds=seconds_of("--time", time),
                 trust=trust,
                 first=first,
                 first_clip=first_clip,
@@ -141,11 +149,19 @@ def preview(
         Path, typer.Argument(metavar="DIR|RECIPE", help="A data set, or a recipe to try.")
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="SHEET.png", help="The contact sheet.")
-    ],
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="SHEET.png",
+            help="The contact sheet. Default: DIR_preview.png or RECIPE_preview.png.",
+        ),
+    ] = None,
     count: Annotated[int, typer.Option("--count", metavar="N", help="How many to show.")] = 24,
-    spp: Annotated[int, typer.Option("--spp", metavar="N", help="Of a recipe's views.")] = 32,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a sheet.")] = False,
+    spp: Annotated[
+        int, typer.Option("--spp", metavar="N", help="Samples per pixel of a recipe's views.")
+    ] = 32,
+    overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
 ) -> None:
@@ -159,6 +175,8 @@ def preview(
     allow(allow_plugins or ())
     if count < 1 or spp < 2:
         raise OptionError("--count needs 1 or more, --spp 2 or more")
+    whole = what.resolve()  # "." has no name
+    output = output or whole.with_name(f"{whole.name if what.is_dir() else whole.stem}_preview.png")
     check_target(output, overwrite)
     with Progress(what.name) as progress:
         if what.is_dir():
@@ -171,7 +189,7 @@ def preview(
 
 @dataset.command()
 def info(folder: FolderArgument, as_json: JsonOption = False) -> None:
-    """Say what is in a set: items, sizes, noise levels, kinds, times, licences."""
+    """Summarise a set: items, sizes, noise levels, kinds, times, licences."""
     from lambent.dataset.summary import summary
 
     found = summary(folder)
@@ -199,18 +217,6 @@ def verify(folder: FolderArgument, as_json: JsonOption = False) -> None:
             say("The same 'lambent dataset make' makes them again.")
     if not verdict.sound:
         raise typer.Exit(2)
-
-
-def parse_time(text: str) -> float:
-    """``"90"``, ``"90s"``, ``"30m"``, ``"2h"`` to seconds. Raises `OptionError`."""
-    import re
-
-    from lambent.errors import OptionError
-
-    match = re.fullmatch(r"(\d+(?:\.\d+)?) *(s|m|min|h)?", text.strip())
-    if match is None or float(match.group(1)) <= 0:
-        raise OptionError(f"--time '{text}' is no time", remedy="for example 90s, 30m or 2h")
-    return float(match.group(1)) * {"h": 3600, "m": 60, "min": 60}.get(match.group(2) or "s", 1)
 
 
 # ------------------------------------------------------------------- private

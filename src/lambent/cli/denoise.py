@@ -1,15 +1,15 @@
 """Clean a noisy render, or a sequence of them.
 
-IN is an EXR (any renderer's; layers are found by themselves), several files, a pattern such as
+IN is an EXR from any renderer, whose layers are recognised; several files; a pattern such as
 shot.####.exr, or a directory. The result is written beside it as IN_clean.exr; a pattern becomes
 shot_clean.####.exr, a directory DIR_clean. Everything that is not denoised is written back bit for
-bit. A sequence skips frames that are finished, so a command that was interrupted goes on when it
-is given again.
+bit. Finished frames of a sequence are skipped, so repeating an interrupted command continues it.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,10 +21,14 @@ from lambent.cli.options import (
     JsonOption,
     MapOption,
     ModelOption,
+    OverwriteOption,
     SetOption,
     SppOption,
+    ThreadsOption,
+    page_for,
     pairs,
     print_json,
+    report_option,
 )
 from lambent.cli.progress import Progress, show_seconds
 from lambent.cli.terminal import columns, remark, say, say_labelled
@@ -61,7 +65,7 @@ def denoise(
         str,
         typer.Option(
             metavar="beauty|all|NAME,...",
-            help="What to denoise: the beauty alone, all lighting layers too, or named ones.",
+            help="What to denoise: only the beauty, all lighting layers too, or the layers named.",
         ),
     ] = "all",
     strength: Annotated[
@@ -71,14 +75,15 @@ def denoise(
     keep_light: Annotated[
         bool,
         typer.Option(
-            "--keep-light", help="Give the light of fireflies to their surroundings, at some error."
+            "--keep-light",
+            help="Spread the light of fireflies over their surroundings, at some cost in error.",
         ),
     ] = False,
     alpha: Annotated[
         bool | None,
         typer.Option(
             "--alpha/--no-alpha",
-            help="Denoise the coverage too, or leave it. Default: only where it is noisy.",
+            help="Denoise alpha too, or leave it as it is. Default: only where it is noisy.",
             show_default=False,
         ),
     ] = None,
@@ -101,31 +106,26 @@ def denoise(
     mapping: MapOption = None,
     spp: SppOption = None,
     setting: SetOption = None,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write one HTML page of before and after.")
-    ] = False,
+    report: Annotated[str | None, report_option("Write a page of before and after")] = None,
     preview: Annotated[
         bool, typer.Option("--preview", help="Write a PNG of before and after.")
     ] = False,
     max_memory: Annotated[
         str | None,
-        typer.Option(metavar="4G", help="Stay under this much memory, working in tiles."),
+        typer.Option(metavar="4G", help="Use at most this much memory, working in tiles."),
     ] = None,
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Use so many processor threads.")
-    ] = None,
+    threads: ThreadsOption = None,
     device: DeviceOption = "auto",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say what would be done; write nothing.")
+        bool, typer.Option("--dry-run", help="Show what would be done; write nothing.")
     ] = False,
     as_json: JsonOption = False,
 ) -> int:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.denoise.pipeline import Settings
     from lambent.denoise.sequence import is_sequence
+    from lambent.errors import OptionError
 
     if threads is not None:
         _limit_threads(threads)
@@ -146,6 +146,11 @@ def denoise(
     )
     extras = _Extras(preview, report)
     many = len(sources) > 1 or is_sequence(sources[0])
+    if many and report:
+        raise OptionError(
+            f"--report {report} is one page, and there may be several frames",
+            remedy="--report alone writes a page beside each",
+        )
     if many:
         return _run_many(sources, output, frames, settings, extras, overwrite, dry_run, as_json)
     return _run_one(Path(sources[0]), output, frames, settings, extras, overwrite, dry_run, as_json)
@@ -352,11 +357,15 @@ def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:
 
 
 def _print_line(result: Result, told: set[str]) -> None:
-    """One line a frame; a note that every frame would repeat is told once."""
-    new = [line for line in result.notes if line not in told]
-    told.update(new)
+    """One line a frame; a note is told once a sequence, though its figures differ in each frame."""
+    new = [line for line in result.notes if _without_figures(line) not in told]
+    told.update(map(_without_figures, new))
     remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
     say(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}")
+
+
+def _without_figures(note: str) -> str:
+    return re.sub(r"\d+(?:[.,]\d+)*", "#", note)
 
 
 def _print_many_plan(
@@ -399,13 +408,13 @@ def _count(number: int, thing: str) -> str:
 class _Extras:
     """The preview and the report, written beside the output."""
 
-    def __init__(self, preview: bool, report: bool) -> None:
+    def __init__(self, preview: bool, report: str | None) -> None:
         self._preview, self._report = preview, report
 
     @property
     def any(self) -> bool:
         """Whether the input has to be kept until the result is there."""
-        return self._preview or self._report
+        return self._preview or self._report is not None
 
     def paths(self, output: Path) -> dict[str, Path]:
         """Where they go, by kind."""
@@ -414,8 +423,9 @@ class _Extras:
         found = {}
         if self._preview:
             found["preview"] = output.with_name(output.stem + PREVIEW_SUFFIX)
-        if self._report:
-            found["report"] = output.with_suffix(".html")
+        page = page_for(self._report, output.with_suffix(".html"))
+        if page is not None:
+            found["report"] = page
         return found
 
     def check(self, output: Path, overwrite: bool) -> None:

@@ -21,7 +21,7 @@ from lambent.cli.options import JsonOption, print_json
 from lambent.cli.terminal import columns, say, say_labelled
 from lambent.errors import stop_by_interrupt
 
-EPILOG = "Exit code 5 where something is broken; remarks alone are no failure."
+EPILOG = "Exit code 5 if something is broken; notes alone are not a failure."
 
 #: Instruction sets that matter, as Linux names them, and what they are for.
 FEATURES = {

@@ -1,8 +1,8 @@
 """Show the weights with which a filter averages around one pixel.
 
 Prints the sum of the weights, the variance that is left (the sum of their squares), how many
-pixels the average is worth, and the bias it risks; with -o also a picture of the weights. A
-learned model's stand beside those of classical filters.
+pixels the average is worth, and the bias it risks; with -o also a picture of the weights. Those
+of a learned model are shown beside those of classical filters.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from lambent.cli.options import (
     JsonOption,
     MapOption,
     ModelOption,
+    OverwriteOption,
     SetOption,
     SppOption,
     check_output,
@@ -38,7 +39,7 @@ def explain(
         typer.Option(
             "--pixel",
             metavar="X,Y",
-            help="The pixel: column,row from 0,0 at the upper left of the data window.",
+            help="The pixel as column,row, from 0,0 at the upper left of the data window.",
         ),
     ],
     model: ModelOption = "cross-bilateral",
@@ -62,9 +63,7 @@ def explain(
         Path | None,
         typer.Option(metavar="REF", help="The noise-free image, to measure the bias with."),
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a picture that exists.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
@@ -131,7 +130,8 @@ def _pixel(text: str) -> tuple[int, int]:
         x, y = (int(part) for part in parts)
     except ValueError:
         raise OptionError(
-            f"'{text}' is no pixel", remedy="write column,row from the upper left: --pixel 120,80"
+            f"'{text}' is not a pixel",
+            remedy="write column,row from the upper left: --pixel 120,80",
         ) from None
     return x, y
 

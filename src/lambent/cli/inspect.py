@@ -1,6 +1,6 @@
 """Show what is in a file: parts, channels, which layer is what and why, and what looks wrong.
 
-All values are decoded and counted: NaN, infinite, negative. Hints tell of what denoisers suffer
+All values are decoded and counted: NaN, infinite, negative. Hints point out what denoisers suffer
 from, such as a splatted pixel filter, tone-mapped colour, or clamped half values.
 """
 
@@ -15,10 +15,13 @@ import typer
 from lambent.cli.options import (
     JsonOption,
     MapOption,
+    OverwriteOption,
     SppOption,
     check_output,
+    page_for,
     pairs,
     print_json,
+    report_option,
 )
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import columns, say
@@ -36,25 +39,15 @@ def inspect(
     ],
     mapping: MapOption = None,
     spp: SppOption = None,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write one HTML page, beside FILE unless -o says.")
-    ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="PAGE.html", help="Where to write the page."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a page that exists.")
-    ] = False,
+    report: Annotated[str | None, report_option("Write a page of all layers")] = None,
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.frame.inspection import inspect_file
 
     roles = pairs("--map", mapping) or None
-    page = output
-    if page is None and report:
-        page = file.with_name(f"{file.stem}_inspection.html")
+    page = page_for(report, file.with_name(f"{file.stem}_inspection.html"))
     check_output(page, overwrite, [file])
     with Progress(file.name, quiet=as_json) as progress:
         progress.report(0, 1, "inspecting")

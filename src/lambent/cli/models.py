@@ -1,16 +1,25 @@
-"""List the denoisers: what they need and can use, what they cost, which paper they are from.
+"""List the denoisers: those for work, those from papers, and the floors of comparisons.
 
-With NAME, describe that one: its parameters with their defaults, for --set.
+With NAME, describe that one: what it needs, can use and costs, and its parameters for --set.
 """
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any
 
 import typer
 
 from lambent.cli.options import JsonOption, complete_models, print_json
 from lambent.cli.terminal import columns, remark, say, say_labelled
+from lambent.escapes import escaped
+
+#: Headings of the table, in its order.
+GROUPS = {
+    "work": "For work",
+    "paper": "From papers, as published",
+    "floor": "Floors: what any method should beat",
+}
 
 EPILOG = "Other packages can bring more models: see the documentation on plug-ins."
 
@@ -57,6 +66,7 @@ def _card(name: str) -> dict[str, Any]:
         "cost": about.cost,
         "paper": about.paper,
         "when": about.when,
+        "group": about.group,
         "linear": about.linear,
         "training": dict(DENOISERS[name]().card()),
         "parameters": [
@@ -83,18 +93,34 @@ def _default(value: Any) -> Any:
 
 
 def _print_table(cards: list[dict[str, Any]], default: str) -> None:
+    """Three groups with a line each: for work when to take it, of a paper whose and what it is."""
     width = columns()
-    left = max(len(card["name"]) for card in cards) + 2
-    for card in cards:
-        mark = " (default)" if card["name"] == default else ""
-        say_labelled(card["name"], f"{card['title']}{mark}. {card['when']}", left, width)
-        needs = "needs " + ", ".join(card["needs"])
-        uses = "; can use " + ", ".join(card["can_use"]) if card["can_use"] else ""
-        cost = f"; {card['cost']}" if card["cost"] else ""
-        say_labelled("", f"{needs}{uses}{cost}".replace("|", " or "), left, width)
-        say_labelled("", card["paper"], left, width)
+    left = max(len(card["name"]) for card in cards) + 4
+    for group, heading in GROUPS.items():
+        say(heading)
+        for card in cards:
+            if card["group"] != group:
+                continue
+            text = card["when"]
+            if group == "paper":
+                text = f"{_citation(card['paper'])}: {card['title']}"
+            mark = "(default) " if card["name"] == default else ""
+            say(f"  {card['name']:<{left - 2}}" + _cut(mark + text, width - left))
         say()
-    say("Parameters of one: lambent models NAME")
+    say("What one needs, costs and can be set to: lambent models NAME")
+
+
+def _citation(paper: str) -> str:
+    """``"Li, Wu and Chuang 2012"`` to ``"Li et al. 2012"``; of two papers the first."""
+    first = paper.partition(";")[0]
+    names = re.split(", | and ", first)
+    year = re.search(r"\d{4}$", first)
+    return f"{names[0]} et al. {year[0]}" if len(names) > 2 and year else first
+
+
+def _cut(text: str, width: int) -> str:
+    text = escaped(text)
+    return text if len(text) <= width else text[: width - 1].rstrip(" ,:") + "…"
 
 
 def _print_card(card: dict[str, Any]) -> None:

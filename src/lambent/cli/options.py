@@ -1,4 +1,8 @@
-"""Options that several commands share: their types, help and completions, and how they parse."""
+"""Options that several commands share: their types, help and completions, and how they parse.
+
+One name means the same everywhere: ``-o`` the result, by default beside the input; ``--report``
+a page, with or without a name; ``--time`` seconds or ``2h``; ``--from`` what to begin with.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,14 @@ import functools
 import inspect
 import json
 import os
+import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from lambent.cli.terminal import say
 from lambent.errors import OptionError
@@ -51,14 +57,14 @@ MapOption = Annotated[
     typer.Option(
         "--map",
         metavar="ROLE=LAYER",
-        help="Say yourself which layer has a role: --map albedo=tex, --map colour=0,1,2; or, for a "
-        "guide, which file: --map depth=depth.exr. Repeatable.",
+        help="State which layer has a role: --map albedo=tex, --map colour=0,1,2; for a guide in "
+        "another file, --map depth=depth.exr. Repeatable.",
         autocompletion=complete_roles,
     ),
 ]
 SppOption = Annotated[
     int | None,
-    typer.Option("--spp", metavar="N", help="Samples per pixel, where the file does not tell."),
+    typer.Option("--spp", metavar="N", help="Samples per pixel, if the file does not record them."),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -82,11 +88,23 @@ PluginsOption = Annotated[
     typer.Option(
         "--allow-plugins",
         metavar="DIR",
-        help="Let scenes load the plug-ins (native code) in this folder. Repeatable.",
+        help="Allow scenes to load plug-ins (native code) from this folder. Repeatable.",
+    ),
+]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace outputs that already exist.")
+]
+ThreadsOption = Annotated[
+    int | None, typer.Option("--threads", metavar="N", help="Use at most this many threads.")
+]
+DefineOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--define", "-D", metavar="NAME=VALUE", help="Set a $NAME of the scene. Repeatable."
     ),
 ]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else there.")
+    bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else.")
 ]
 
 
@@ -102,6 +120,7 @@ def with_settings(command: Callable[..., Any], kinds: Iterable[type]) -> Callabl
     hints = typing.get_type_hints(command, include_extras=True)
     hints = {name: hints[name] for name in own if name != "settings"}
     defaults = {name: own[name].default for name in hints}
+    times: dict[str, str] = {}
     for kind in kinds:
         for name, (wanted, about) in settings_of(kind).items():
             if name in hints:
@@ -114,6 +133,9 @@ def with_settings(command: Callable[..., Any], kinds: Iterable[type]) -> Callabl
                 words += (
                     f" Default: {default:,}." if type(default) is int else f" Default: {default}."
                 )
+            if about.metavar == "TIME":  # `seconds_of` reads it
+                wanted, words = str, f"{words.rstrip('.')}: 60 (seconds), 45s, 90m or 2h."
+                times[name] = about.option or f"--{name}"
             option = typer.Option(
                 about.option or f"--{name.replace('_', '-')}", metavar=about.metavar, help=words,
                 autocompletion=_completing(about.choices),
@@ -125,6 +147,7 @@ def with_settings(command: Callable[..., Any], kinds: Iterable[type]) -> Callabl
     def run(**values: Any) -> Any:
         fixed = {name: value for name, value in values.items() if name in own}
         chosen = {k: v for k, v in values.items() if k not in own and v is not None}
+        chosen |= {k: seconds_of(times[k], v) for k, v in chosen.items() if k in times}
         return command(**fixed, **chosen)
 
     run.__annotations__ = hints
@@ -145,6 +168,66 @@ def _completing(choices: Iterable[str]) -> Callable[[str], list[tuple[str, str]]
         return None
     words = dict(choices) if isinstance(choices, Mapping) else dict.fromkeys(choices, "")
     return lambda incomplete: [(n, w) for n, w in words.items() if n.startswith(incomplete)]
+
+
+def report_option(what: str) -> Any:
+    """``--report [PAGE.html]``; ``what`` completes the help: "Write a page of before and after"."""
+    return typer.Option(
+        "--report", metavar="[PAGE.html]", help=f"{what}; without a name, beside the output."
+    )
+
+
+def time_option(what: str) -> Any:
+    """``--time TIME``, to be read by `seconds_of`."""
+    return typer.Option("--time", metavar="TIME", help=f"{what}: 60 (seconds), 45s, 90m or 2h.")
+
+
+class Command(TyperCommand):
+    """A command whose ``--report`` may come without a page.
+
+    Only a word that ends in .html is taken as the page, so that in ``--report noisy.exr`` the file
+    stays an input, and is never written to.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Give a bare ``--report`` the empty name, which `page_for` replaces."""
+        end = args.index("--") if "--" in args else len(args)
+        for at in range(end - 1, -1, -1):
+            if args[at] == "--report" and not (at + 1 < end and _is_page(args[at + 1])):
+                args[at] = "--report="
+        return super().parse_args(ctx, args)
+
+
+def page_for(report: str | None, default: Path) -> Path | None:
+    """Where the page of ``--report`` goes; None without that option.
+
+    Raises `OptionError` for a name that is not a page's.
+    """
+    if report is None:
+        return None
+    if report == "":
+        return default
+    if not _is_page(report):
+        raise OptionError(
+            f"--report '{report}' is not the name of a page", remedy="end it in .html"
+        )
+    return Path(report)
+
+
+def _is_page(name: str) -> bool:
+    return name.lower().endswith((".html", ".htm"))
+
+
+def seconds_of(option: str, text: str | None) -> float | None:
+    """``"60"``, ``"45s"``, ``"90m"``, ``"2h"`` to seconds. Raises `OptionError`."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) *(s|m|min|h)?", text.strip())
+    if match is None or float(match[1]) <= 0:
+        raise OptionError(
+            f"{option} '{text}' is not a time", remedy="for example 60 (seconds), 45s, 90m or 2h"
+        )
+    return float(match[1]) * {"h": 3600, "m": 60, "min": 60}.get(match[2], 1)
 
 
 def pairs(option: str, texts: Iterable[str] | None) -> dict[str, str]:
@@ -175,7 +258,9 @@ def size_of(text: str | None) -> tuple[int, int] | None:
         return None
     width, _, height = text.lower().partition("x")
     if not (width.isdigit() and height.isdigit() and int(width) and int(height)):
-        raise OptionError(f"--size '{text}' is no size in pixels", remedy="write --size 1280x720")
+        raise OptionError(
+            f"--size '{text}' is not a size in pixels", remedy="write --size 1280x720"
+        )
     return int(width), int(height)
 
 
@@ -187,7 +272,7 @@ def point_of(option: str, text: str | None) -> tuple[float, float, float] | None
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
         raise OptionError(
-            f"{option} '{text}' is no point", remedy=f"write {option} 1,2,3"
+            f"{option} '{text}' is not a point", remedy=f"write {option} 1,2,3"
         ) from None
     return x, y, z
 

@@ -3,8 +3,8 @@
 SCENE is a Mitsuba scene (.xml), rendered by path tracing, or a Blender file (.blend), rendered by
 Cycles. The EXR holds colour, its variance and two half buffers, light split in several ways,
 albedo, normal, depth, position, roughness and alpha, each with its variance. Of a Mitsuba scene it
-is written again and again while the picture grows; after Ctrl-C it holds what was reached, and
---resume goes on. Cycles' pictures appear when they are whole.
+is updated while the picture grows; after Ctrl-C it holds what was reached, and --resume continues.
+Pictures by Cycles appear when they are finished.
 """
 
 from __future__ import annotations
@@ -16,7 +16,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    page_for,
+    print_json,
+    report_option,
+    seconds_of,
+    time_option,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
@@ -48,20 +59,20 @@ def render(
             "--output",
             "-o",
             metavar="OUT.exr",
-            help="Where to write; a pattern for frames. Default: SCENE.exr here, for a scene.xml "
-            "its folder's name.",
+            help="Where to write; a pattern for frames. Default: SCENE.exr beside the scene; for "
+            "a scene.xml, its folder's name.",
         ),
     ] = None,
     spp: Annotated[
         str | None,
-        typer.Option(metavar="N|+N", help="Samples a pixel in all (64), or so many more."),
+        typer.Option(
+            metavar="N|+N", help="Samples per pixel in all (64), or +N for that many more."
+        ),
     ] = None,
-    time: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="End each picture after this time.")
-    ] = None,
+    time: Annotated[str | None, time_option("Stop each picture after this time")] = None,
     target_error: Annotated[
         float | None,
-        typer.Option(metavar="RELMSE", help="End when the estimated error is this small."),
+        typer.Option(metavar="RELMSE", help="Stop when the estimated error is this small."),
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
@@ -72,7 +83,7 @@ def render(
     ] = None,
     animation: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Keyframes; default: SCENE.toml beside the scene."),
+        typer.Option(metavar="FILE.toml", help="Keyframes. Default: SCENE.toml beside the scene."),
     ] = None,
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|N", help="Which camera, if there are several.")
@@ -87,42 +98,42 @@ def render(
     ] = "all",
     depth: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Most vertices of a path; -1 endless. Default: scene's."),
+        typer.Option(
+            metavar="N", help="Most vertices of a path; -1 for no limit. Default: the scene's."
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
     integrator: Annotated[
         str,
-        typer.Option(metavar="NAME", help="path (ours), scene (its own), or one of Mitsuba's."),
+        typer.Option(
+            metavar="NAME", help="path (ours), scene (the scene's own), or one of Mitsuba's."
+        ),
     ] = "path",
     light_group: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=ID,...",
-            help="A layer for the light of these emitters: key=sun,lamp*. Repeatable.",
+            help="A separate layer for the light of these emitters: key=sun,lamp*. Repeatable.",
         ),
     ] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
-    ] = None,
+    define: DefineOption = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with what the output holds.")
+        bool, typer.Option("--resume", help="Continue with what the output holds.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     checkpoint: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Write the picture so far after this time.")
-    ] = 60.0,
+        str | None, typer.Option(metavar="TIME", help="Save the picture so far this often (60).")
+    ] = None,
     report: Annotated[
-        bool, typer.Option("--report", help="Write a page that shows the picture as it grows.")
-    ] = False,
+        str | None, report_option("Write a page that shows the picture as it grows")
+    ] = None,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
     from lambent.cli.options import definitions, light_groups, size_of
+    from lambent.errors import OptionError
     from lambent.frame.sequence import parse_range
     from lambent.render.job import frames_of, render_all
     from lambent.render.options import Effort, Listeners, Output, Shot
@@ -135,7 +146,9 @@ def render(
     if frames is not None and numbers is None:
         numbers = parse_range(frames)
     target = output or _default_output(scene, numbers is not None)
-    page = _Page(Path(target), report and numbers is None)
+    if report is not None and numbers is not None:
+        raise OptionError("a page follows one picture, and --frames makes several")
+    page = _Page(page_for(report, Path(target).with_suffix(".html")))
     told: list[str] = []
 
     def note(text: str) -> None:
@@ -145,7 +158,7 @@ def render(
     kept: list[str] = []
 
     def keep(path: Path, moments: Moments) -> None:
-        kept[:] = [f"{path} holds {moments.spp} samples a pixel; --resume goes on with them"]
+        kept[:] = [f"{path} holds {moments.spp} samples a pixel; --resume continues with them"]
 
     with _saying_what_is_kept(kept), Progress(scene.name, quiet=as_json) as progress:
 
@@ -170,8 +183,8 @@ def render(
                 frames=numbers,
                 animation=animation,
             ),
-            Effort(spp, time, target_error),
-            Output(target, resume, overwrite, checkpoint),
+            Effort(spp, seconds_of("--time", time), target_error),
+            Output(target, resume, overwrite, seconds_of("--checkpoint", checkpoint) or 60.0),
             Listeners(tell, progress.report, note, keep),
         )
     page.finish(done[0])
@@ -204,8 +217,8 @@ class _Page:
 
     EVERY = 5.0
 
-    def __init__(self, target: Path, wanted: bool) -> None:
-        self.path = target.with_suffix(".html") if wanted else None
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
         self.written: str | None = None
         self.states: list[tuple[float, int, float]] = []
         self._last = -1e9
@@ -238,7 +251,7 @@ class _Page:
 
 def _default_output(scene: Path, many: bool) -> str:
     stem = scene.parent.resolve().name if scene.stem == "scene" else scene.stem
-    return f"{stem}.####.exr" if many else f"{stem}.exr"
+    return str(scene.with_name(f"{stem}.####.exr" if many else f"{stem}.exr"))
 
 
 def _print(result: Rendered) -> None:

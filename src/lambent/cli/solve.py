@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    page_for,
+    print_json,
+    report_option,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
@@ -56,26 +65,22 @@ def solve(
             "--output",
             "-o",
             metavar="OUT.lambent",
-            help="Where to write. Default: SCENE.lambent here, for a scene.xml its folder's name.",
+            help="Where to write. Default: SCENE.lambent beside the scene; for a scene.xml, its "
+            "folder's name.",
         ),
     ] = None,
     method: Annotated[
         str | None,
         typer.Option(metavar="NAME", help=methods_help(), autocompletion=complete_methods),
     ] = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option("--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene."),
-    ] = None,
+    define: DefineOption = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on solving what the output holds.")
+        bool, typer.Option("--resume", help="Continue with what the output holds.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Begin anew, replacing outputs that exist.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     report: Annotated[
-        bool, typer.Option("--report", help="Write a page that shows the light as it grows.")
-    ] = False,
+        str | None, report_option("Write a page that shows the light as it grows")
+    ] = None,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -89,13 +94,12 @@ def solve(
 
     allow(allow_plugins or ())
 
-    target = output or Path(_default_name(scene))
-    page = None
-    if report:
+    target = output or scene.with_name(_default_name(scene))
+    path, page = page_for(report, target.with_suffix(".html")), None
+    if path is not None:
         from lambent.report.solving import SolvingPage
 
-        path = check_target(target.with_suffix(".html"), overwrite or resume)
-        page = SolvingPage(scene, path, definitions(define))
+        page = SolvingPage(scene, check_target(path, overwrite or resume), definitions(define))
     with Progress(scene.name, quiet=as_json) as progress:
         progress.report(0, 1, "loading the scene")
         solution = run(

@@ -1,6 +1,6 @@
 """Look at a solved scene: a picture, a film, or a mesh that carries its light.
 
-SOLUTION is a file of `lambent solve`. The output's ending says what is made: .exr (all features,
+SOLUTION is a file of `lambent solve`. The output's ending decides what is made: .exr (all features,
 which `lambent denoise` can use), .png, .mp4 (with --frames), .ply and .glb (light in the vertices);
 an .exr with --lightmap holds the light of all surfaces as one image.
 """
@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lambent.cli.options import DeviceOption, JsonOption, PluginsOption, print_json
+from lambent.cli.options import (
+    DefineOption,
+    DeviceOption,
+    JsonOption,
+    OverwriteOption,
+    PluginsOption,
+    print_json,
+)
 from lambent.cli.progress import Progress
 from lambent.cli.terminal import say
 
@@ -48,11 +55,15 @@ def shows_help() -> str:
 def view(
     solution: Annotated[Path, typer.Argument(metavar="SOLUTION", help="A .lambent file.")],
     output: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help=".exr, .png, .mp4, .ply or .glb; shot.####.exr."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help=".exr, .png, .mp4, .ply or .glb; shot.####.exr. Default: SOLUTION.png; with "
+            "--frames SOLUTION.mp4, with --lightmap SOLUTION_lightmap.exr.",
         ),
-    ],
+    ] = None,
     show: Annotated[
         str | None,
         typer.Option(metavar="NAME", help=shows_help(), autocompletion=complete_shows),
@@ -60,21 +71,20 @@ def view(
     camera: Annotated[
         str | None, typer.Option(metavar="NAME|N", help="Which camera of the scene.")
     ] = None,
-    stand: Annotated[
-        str | None, typer.Option("--from", metavar="X,Y,Z", help="Where a camera of yours stands.")
+    origin: Annotated[
+        str | None,
+        typer.Option("--origin", metavar="X,Y,Z", help="Position of a camera of your own."),
     ] = None,
     target: Annotated[
-        str | None, typer.Option("--to", metavar="X,Y,Z", help="What it looks at.")
+        str | None, typer.Option("--target", metavar="X,Y,Z", help="The point it looks at.")
     ] = None,
     fov: Annotated[
-        float | None, typer.Option(metavar="DEGREES", help="Its field of view, across.")
+        float | None, typer.Option(metavar="DEGREES", help="Its horizontal field of view.")
     ] = None,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="Size in pixels instead of the scene's.")
     ] = None,
-    spp: Annotated[
-        int | None, typer.Option(metavar="N", help="Samples a pixel; 64 if not given.")
-    ] = None,
+    spp: Annotated[int | None, typer.Option(metavar="N", help="Samples per pixel (64).")] = None,
     features: Annotated[
         str, typer.Option(metavar="all|none|NAME,...", help="Layers of an .exr.")
     ] = "all",
@@ -83,27 +93,26 @@ def view(
     ] = None,
     animation: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Its keyframes; default: SCENE.toml beside it."),
+        typer.Option(
+            metavar="FILE.toml", help="Its keyframes. Default: SCENE.toml beside the scene."
+        ),
     ] = None,
     fps: Annotated[float, typer.Option(metavar="N", help="Frames a second of a film.")] = 24.0,
     exposure: Annotated[
         float | None,
-        typer.Option(metavar="X", help="Factor for .png, .mp4, .glb, .ply. Default: automatic; 1."),
-    ] = None,
-    lightmap: Annotated[
-        bool, typer.Option("--lightmap", help="The light of all surfaces as one image.")
-    ] = False,
-    scene: Annotated[
-        Path | None, typer.Option(metavar="SCENE", help="The scene, if it has moved.")
-    ] = None,
-    define: Annotated[
-        list[str] | None,
         typer.Option(
-            "--define", "-D", metavar="NAME=VALUE", help="A $NAME of the scene, if not as solved."
+            metavar="X", help="Factor. Default: automatic for .png and .mp4, 1 for .glb and .ply."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the random numbers.")] = 0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace outputs.")] = False,
+    lightmap: Annotated[
+        bool, typer.Option("--lightmap", help="Write the light of all surfaces as one image.")
+    ] = False,
+    scene: Annotated[
+        Path | None, typer.Option(metavar="SCENE", help="Path of the scene, if it has moved.")
+    ] = None,
+    define: DefineOption = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random numbers.")] = 0,
+    overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -114,16 +123,20 @@ def view(
     from lambent.frame.atomic import check_target
     from lambent.frame.sequence import has_place, parse_range
 
+    output = output or _default_output(solution, frames is not None, lightmap)
     suffix = Path(output).suffix.lower()
     known = (*PICTURES, *FILMS, *MESHES)
     if suffix not in known:
         raise OptionError(f"'{output}' is no kind of view", remedy=f"end it in {', '.join(known)}")
     moves = frames is not None
     light_alone = suffix in MESHES or lightmap
-    own = stand is not None or target is not None or fov is not None
+    own = origin is not None or target is not None or fov is not None
     for clash, words in (
-        (own and moves, "--from, --to and --fov are of one picture; keyframes move the camera"),
-        (own and light_alone, "--from, --to and --fov make no sense for what has no camera"),
+        (
+            own and moves,
+            "--origin, --target and --fov are of one picture; keyframes move the camera",
+        ),
+        (own and light_alone, "--origin, --target and --fov make no sense for what has no camera"),
         (moves and light_alone, "--frames makes no sense for what has no camera"),
         (animation is not None and not moves, "--animation needs --frames"),
         (not moves and has_place(output), f"'{output}' has a place for a number, but no --frames"),
@@ -175,8 +188,8 @@ def view(
             written += _film(made, output, suffix, fps, exposure, overwrite)
         else:
             frame = look.view(
-                opened, stand=point_of("--from", stand), target=point_of("--to", target), fov=fov,
-                **where, **looks,
+                opened, stand=point_of("--origin", origin), target=point_of("--target", target),
+                fov=fov, **where, **looks,
             )  # fmt: skip
             _write(frame, Path(output), exposure, overwrite)
             written.append(output)
@@ -191,6 +204,11 @@ def view(
 
 
 # ------------------------------------------------------------------- private
+
+
+def _default_output(solution: Path, moves: bool, lightmap: bool) -> str:
+    ending = "_lightmap.exr" if lightmap else ".mp4" if moves else ".png"
+    return str(solution.with_name(solution.stem + ending))
 
 
 def _beside(solution: Solution, scene: Path | None) -> Path:

@@ -38,7 +38,8 @@ class DnCNN(Denoiser):
         title="DnCNN, for photographs",
         paper="Zhang et al. 2017",
         cost="20 convolutions of 64 filters, 667 kMAC a pixel",
-        when="photographs and tone-mapped pictures with grainy noise; not for raw renders",
+        when="photographs and tone-mapped pictures with grainy noise",
+        group="work",
         linear=False,
     )
 

@@ -61,7 +61,8 @@ class Lambent(Denoiser):
             "colour.variance", "albedo.variance", "normal.variance", "depth.variance",
         ),
         cost="a U-Net, 98 kMAC a pixel, once for all layers; 34 taps on five scales",
-        when="splatted pixel filters; many layers at once, in a third of OIDN's time",
+        when="frames with many layers, splatted pixel filters",
+        group="work",
     )  # fmt: skip
 
     #: Name of the model file.

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from lambent.frame.repair import Repairs
 
 #: A change of the total light below this is not worth a word.
-LIGHT_CHANGE = 1e-3
+LIGHT_CHANGE = 0.03
 
 #: Without a limit from the caller, filtering may take this share of the memory that is free.
 FREE_SHARE = 0.8
@@ -505,7 +505,7 @@ def _remap(frame: Frame, settings: Settings) -> Frame:
 
 
 def _light_note(before: FloatImage, after: FloatImage) -> tuple[str, ...]:
-    """A sentence on the change of the beauty's total light, where it is a thousandth and more."""
+    """A sentence on the change of the beauty's total light, where it is `LIGHT_CHANGE` and more."""
     one, two = (float(image.sum(dtype=np.float64)) for image in (before, after))
     change = two / one - 1 if one > 0 else 0.0
     if abs(change) < LIGHT_CHANGE:

@@ -40,7 +40,8 @@ class ATrousTuned(ATrous):
         title="Edge-avoiding à-trous wavelet, tuned",
         uses=("albedo", "normal", "depth", "position", "roughness", "albedo.variance",
               "normal.variance", "depth.variance"),
-        when="for previews: wide and fast, at the price of smeared detail",
+        when="previews: wide and fast, but detail is smeared",
+        group="work",
     )  # fmt: skip
 
     def _factors(self, stops: FloatImage | None) -> list[tuple[float, float | Sequence[float]]]:

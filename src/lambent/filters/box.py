@@ -28,6 +28,7 @@ class Box(Denoiser):
         paper="(textbook)",
         cost="2·(2·radius + 1) additions a pixel and channel",
         when="never for a result; as the floor of a comparison",
+        group="floor",
     )
 
     def margin(self) -> int:

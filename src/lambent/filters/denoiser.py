@@ -42,6 +42,7 @@ class About:
     work, and that it profits from. A need with alternatives is written ``"a|b"``.
     ``linear``: whether the output is linear in the targets, with weights from the frame alone.
     ``cost``: in words a person can compare ("441 taps a pixel"). ``when``: when to take it.
+    ``group``: for work, a paper's method as published, or the floor of a comparison.
     """
 
     name: str
@@ -52,6 +53,7 @@ class About:
     cost: str = ""
     when: str = ""
     linear: bool = True
+    group: Literal["work", "paper", "floor"] = "paper"
 
 
 class Denoiser:

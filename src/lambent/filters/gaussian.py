@@ -25,6 +25,7 @@ class Gaussian(Denoiser):
         paper="(textbook)",
         cost="2·(2·radius + 1) additions a pixel and channel",
         when="never for a result; shows what a filter blind to edges does",
+        group="floor",
     )
 
     def margin(self) -> int:

@@ -113,7 +113,8 @@ class NFORTuned(Denoiser):
             "depth.variance",
         ),
         cost="two NLM searches and four regressions with 10 unknowns over 361 pixels",
-        when="the best classical filter for frames with fireflies, features and half buffers",
+        when="the best classical filter; wants features and half buffers",
+        group="work",
     )
 
     def __post_init__(self) -> None:

@@ -120,7 +120,8 @@ class OIDN(Denoiser):
         paper="A. T. Áfra: Intel Open Image Denoise, 2019-2025 (version 2.5)",
         uses=("albedo", "normal", "alpha"),
         cost="a U-Net, 125 kMAC a pixel, for every layer",
-        when="first choice for finished pictures, with albedo and normal",
+        when="finished pictures with albedo and normal",
+        group="work",
         linear=False,
     )
 
@@ -323,7 +324,7 @@ class OIDNBalanced(OIDN):
         OIDN.about,
         name="oidn-balanced",
         title="Open Image Denoise, balanced",
-        when="as `oidn` where guides are noisy: identical results and time on a processor",
+        when="on a processor the same as oidn, in result and time",
     )
     quality: Literal["high", "balanced", "fast"] = "balanced"
 
@@ -351,7 +352,7 @@ class OIDNBest(OIDN):
         name="oidn-best",
         title="Open Image Denoise, prefiltered guides",
         cost="a U-Net, 312 kMAC a pixel, for albedo, normal and every layer",
-        when="when the last few per cent count and two to three times the time does not",
+        when="final frames, at two to three times the time of oidn",
     )
     prefilter: bool = True
 

@@ -36,5 +36,6 @@ class SUREFilterTuned(SUREFilter):
         SUREFilter.about,
         name="sbf-tuned",
         title="SURE-based filter, tuned",
-        when="with variance and features; keeps shadows that cross-bilateral washes out",
+        when="with variances and features; keeps soft shadows",
+        group="work",
     )

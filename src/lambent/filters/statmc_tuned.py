@@ -49,5 +49,6 @@ class StatMCTuned(StatMC):
         name="statmc-tuned",
         title="Statistical filter, noisy members weigh less",
         cost="316 taps a pixel, each a test of three channels",
-        when="the renderer writes variances and the samples a pixel; from 16 spp on",
+        when="from 16 spp on, where the renderer writes variances",
+        group="work",
     )

@@ -506,7 +506,7 @@ class _Log:
             # sums stay on the device: to read one is to wait for it
             self._sums[name] = self._sums.get(name, 0.0) + value.detach().double()
         self._count += 1
-        if step % LOG_EVERY:
+        if step % LOG_EVERY and step != 1:
             return
         now = time.monotonic()
         line = {name: round(float(total) / self._count, 6) for name, total in self._sums.items()}

@@ -182,7 +182,7 @@ class RenderedTask:
         kept, held = parted(stills, recipe.held_out)
         self.sampler = Sampler(kept, lobes=True)
         self.checked = spread(held or kept, recipe.checked, lobes=True)
-        self._yardstick: tuple[float, float] | None = None
+        self._yardstick: tuple[float, float, float] | None = None
 
     def network(self) -> nn.Module:
         """A fresh network with the recipe's options."""
@@ -242,12 +242,13 @@ class RenderedTask:
 
     @torch.no_grad()
     def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
-        """Trimmed relMSE and SMAPE on held-out crops, and as ratios to OIDN High's.
+        """Trimmed relMSE and SMAPE on held-out crops, as ratios to OIDN High's and to the input's.
 
         ``score``: the geometric mean of both ratios.
         """
         if self._yardstick is None:
-            self._yardstick = self._oidn()
+            noisy = [errors_of(e.noisy.colour, e)[0] for e, _ in self.checked]
+            self._yardstick = (*self._oidn(), max(float(np.mean(noisy)), 1e-6))
         errors = []
         pictures: dict[str, FloatImage] = {}
         for example, spp in self.checked:
@@ -261,6 +262,7 @@ class RenderedTask:
         found = {
             "relmse": relmse,
             "smape": smape,
+            "relmse/noisy": relmse / self._yardstick[2],
             "relmse/oidn": ratios[0],
             "smape/oidn": ratios[1],
             "score": float(np.sqrt(ratios[0] * ratios[1])),

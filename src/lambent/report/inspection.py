@@ -217,7 +217,7 @@ def _records(key: str, records: list[Record], images: Mapping[str, str]) -> tupl
     ]
     if with_pictures:
         headings.insert(1, '<span class="hidden">Picture</span>')
-    inner = table(headings, rows, caption=_words(key), kind="plain")
+    inner = table(headings, rows, caption=_words(key), kind="plain sortable")
     return inner, shown if with_pictures else set()
 
 

@@ -12,6 +12,7 @@ import hashlib
 import html
 import json
 import os
+import re
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
@@ -19,6 +20,9 @@ from typing import Any
 
 import lambent
 from lambent.frame.atomic import atomic
+
+#: Which way is better, in a heading.
+_ARROWS = re.compile('<span class="way".*?</span>')
 
 
 def escape(text: object) -> str:
@@ -91,16 +95,24 @@ def save(path: str | os.PathLike[str], text: str) -> Path:
 def table(
     headings: list[str], rows: list[list[str]], *, caption: str, kind: str = "", first: str = ""
 ) -> str:
-    """A table from markup cells; the first cell of a row is its heading."""
+    """A table from markup cells; the first cell of a row is its heading.
+
+    Every cell knows its column's heading, for narrow windows in which rows become lists.
+    """
     texts = [any(r[i].startswith('<td class="text"') for r in rows) for i in range(len(headings))]
     head = "".join(
         f'<th scope="col" class="text">{h}</th>' if text else f'<th scope="col">{h}</th>'
         for h, text in zip(headings, texts, strict=True)
     )
+    labels = [html.unescape(re.sub("<[^>]*>", "", _ARROWS.sub("", h))).strip() for h in headings]
     body = "".join(
         "<tr>"
         + f'<th scope="row">{row[0]}</th>'
-        + "".join(cell if cell.startswith("<td") else f"<td>{cell}</td>" for cell in row[1:])
+        + "".join(
+            f'<td data-label="{escape(label)}"'
+            + (cell[3:] if cell.startswith("<td") else f">{cell}</td>")
+            for label, cell in zip(labels[1:], row[1:], strict=True)
+        )
         + "</tr>"
         for row in rows
     )

@@ -42,7 +42,7 @@ def viewer(results: Comparison, kinds: list[Metric]) -> str:
 <noscript><p class="note">The pictures need JavaScript. The tables below do not.</p></noscript>
 <section class="viewer" aria-label="Pictures" hidden>
 <div class="bar" role="toolbar" aria-label="View">
-{_segment("view", "View", [("slider", "Slider"), ("grid", "Grid")])}
+{_segment("view", "View", [("slider", "Slider"), ("single", "Single"), ("grid", "Grid")])}
 {show}
 <div class="group" id="pair">
 <label>A <select id="a" aria-label="Picture A, on the left"></select></label>
@@ -60,7 +60,7 @@ def viewer(results: Comparison, kinds: list[Metric]) -> str:
 <output id="zoom" aria-label="Zoom">100 %</output>
 <button type="button" id="in" aria-label="Zoom in" title="Zoom in (+)">+</button>
 <button type="button" id="fit" title="Whole picture (0)">Fit</button>
-<button type="button" id="one" title="One to one (1)">1:1</button>
+<button type="button" id="one" title="One to one (o)">1:1</button>
 </div>
 </div>
 <div class="work">
@@ -78,8 +78,10 @@ def viewer(results: Comparison, kinds: list[Metric]) -> str:
 {legends}
 <p id="status" role="status"></p>
 <p class="keys" id="keys">Wheel or <kbd>+</kbd> <kbd>−</kbd> zoom, drag or arrow keys move
-(<kbd>Shift</kbd>: one pixel), <kbd>0</kbd> fit, <kbd>1</kbd> one to one, <kbd>[</kbd> <kbd>]</kbd>
-exposure, <kbd>x</kbd> swap A and B, <kbd>g</kbd> grid. The divider takes arrow keys too.</p>
+(<kbd>Shift</kbd>: one pixel), <kbd>0</kbd> fit, <kbd>o</kbd> one to one, <kbd>[</kbd> <kbd>]</kbd>
+exposure. <kbd>1</kbd> to <kbd>9</kbd> show one picture, with <kbd>Shift</kbd> they choose B;
+<kbd>b</kbd> blinks between A and B, <kbd>x</kbd> swaps them, <kbd>s</kbd> slider, <kbd>g</kbd>
+grid. The divider takes arrow keys too.</p>
 </section>"""
 
 
@@ -198,7 +200,7 @@ def image_table(pictures: list[Picture], names: Mapping[int, str]) -> str:
             count = f"{int(facts[key]):,}".replace(",", "\u2009")
             cells.append(f'<td class="warn">{count}</td>' if facts[key] else count)
         rows.append(cells)
-    inner = table(headings, rows, caption="Images", first="images")
+    inner = table(headings, rows, caption="Images", kind="sortable", first="images")
     return (
         f"<section><h2>Images</h2>{inner}"
         '<p class="small">Mean, median, maximum: luminance, radiance units. Grain: median absolute '

@@ -91,4 +91,4 @@ def _table(checks: Sequence[tuple[int, Mapping[str, float]]]) -> str:
         [str(step), *(f"{check.get(name, math.nan):.3f}" for name in names)]
         for step, check in checks[-12:]
     ]
-    return table(["step", *map(escape, names)], rows, caption="Validation scores")
+    return table(["step", *map(escape, names)], rows, caption="Validation scores", kind="sortable")

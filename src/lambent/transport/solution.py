@@ -298,7 +298,7 @@ def _place(
     if stand is None or target is None:
         raise OptionError(
             "a camera of one's own needs where it stands and what it looks at",
-            remedy="give both: --from X,Y,Z --to X,Y,Z",
+            remedy="give both: --origin X,Y,Z --target X,Y,Z",
         )
     import mitsuba as mi
 

@@ -20,6 +20,7 @@
   for (const table of document.querySelectorAll("table.sortable")) {
     const heads = [...table.tHead.rows[0].cells];
     heads.forEach((head, column) => {
+      if (!head.textContent.trim()) return;
       const button = document.createElement("button");
       button.type = "button";
       button.append(...head.childNodes);
@@ -34,12 +35,13 @@
         const key = (row) => row.cells[column].dataset.value ?? row.cells[column].textContent;
         const value = (row) => {
           const text = key(row);
-          return text === "inf" ? Infinity : text === "-inf" ? -Infinity : Number(text);
+          return text === "inf" ? Infinity : text === "-inf" ? -Infinity : Number(text.replace(/[\u2009,]/g, "") || NaN);
         };
         const body = table.tBodies[0];
         const rows = [...body.rows].sort((a, b) => {
           const x = value(a), y = value(b);
-          if (column === 0) return sign * key(a).localeCompare(key(b), undefined, { numeric: true });
+          const words = Number.isNaN(x) && Number.isNaN(y);
+          if (column === 0 || words) return sign * key(a).localeCompare(key(b), undefined, { numeric: true });
           if (Number.isNaN(x) || Number.isNaN(y)) return Number.isNaN(x) - Number.isNaN(y);
           return x === y ? 0 : sign * (x < y ? -1 : 1);
         });

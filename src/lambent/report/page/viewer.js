@@ -1,4 +1,4 @@
-// The picture viewer: slider and grid, synchronous pan and zoom, loupes, exposure, error maps.
+// The picture viewer: slider, one picture and grid, synchronous pan and zoom, loupes, exposure, error maps.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const $ = (id) => document.getElementById(id);
@@ -9,7 +9,7 @@
   const LOUPE = 21;
 
   const state = {
-    view: "slider", show: "picture", a: data.a, b: data.b, stops: 0, split: 0.5,
+    view: "slider", show: "picture", a: data.a, b: data.b, blink: false, stops: 0, split: 0.5,
     fit: true, scale: 1, x: W / 2, y: H / 2, point: [Math.floor(W / 2), Math.floor(H / 2)],
   };
   let table = displayTable(0);
@@ -74,7 +74,7 @@
     if (!pane) return 1;
     const scale = Math.min(pane.canvas.clientWidth / W, pane.canvas.clientHeight / H);
     const ratio = window.devicePixelRatio || 1;
-    return scale > 1 ? Math.floor(scale * ratio) / ratio : scale;   // whole pixels stay whole
+    return scale >= 3 ? Math.floor(scale * ratio) / ratio : scale;   // whole pixels stay whole
   }
 
   const scaleNow = () => (state.fit ? fitScale() : state.scale);
@@ -114,7 +114,7 @@
     if (!canvas) return;
     const [cx, cy] = centreNow();
     const ratio = pane.ratio, w = pane.canvas.width, h = pane.canvas.height;
-    context.imageSmoothingEnabled = scale * ratio < 1;
+    context.imageSmoothingEnabled = scale * ratio < 1 || (state.fit && scale < 3);
     context.imageSmoothingQuality = "high";
     const left = Math.round(w / 2 - cx * scale * ratio), top = Math.round(h / 2 - cy * scale * ratio);
     context.drawImage(canvas, left, top, Math.round(W * scale * ratio), Math.round(H * scale * ratio));
@@ -223,7 +223,8 @@
   function layout() {
     stage.dataset.view = state.view;
     for (const pane of panes) pane.root.remove();
-    const list = state.view === "slider" ? [null] : images.map((_, i) => i);
+    const list = state.view === "slider" ? [null]
+      : state.view === "single" ? [state.blink ? state.b : state.a] : images.map((_, i) => i);
     panes = list.map((index) => {
       const root = document.createElement("div"), canvas = document.createElement("canvas");
       root.className = "pane";
@@ -249,7 +250,7 @@
     });
     divider.hidden = state.view !== "slider";
     if (!divider.hidden) panes[0].root.append(divider);
-    $("pair").hidden = state.view !== "slider";
+    $("pair").hidden = state.view === "grid";
     arrange();
   }
 
@@ -257,15 +258,10 @@
     const width = stage.clientWidth, room = Math.max(260, Math.min(window.innerHeight * 0.66, 900));
     let columns = 1, height = Math.min(room, Math.max(260, width * H / W));
     if (state.view === "grid") {
-      // The number of columns that shows the pictures largest.
-      let best = 0;
-      for (let c = 1; c <= images.length; c++) {
-        const rows = Math.ceil(images.length / c);
-        const size = Math.min(width / c / W, Math.max(room, 240 * rows) / rows / H);
-        if (size > best * 1.02) { best = size; columns = c; }
-      }
+      // Two columns, and up to two rows in the window; a phone has one column.
+      columns = width < 560 ? 1 : Math.min(2, images.length);
       const rows = Math.ceil(images.length / columns);
-      height = Math.min(Math.max(room, 240 * rows), rows * width / columns * H / W);
+      height = rows * Math.min(width / columns * H / W, Math.max(240, 0.94 * window.innerHeight / Math.min(rows, 2)));
     }
     stage.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
     stage.style.height = `${Math.round(height)}px`;
@@ -300,7 +296,7 @@
     for (const input of document.querySelectorAll(`input[name="${name}"]`)) input.checked = input.value === value;
   }
 
-  function setView(value) { state.view = value; check("view", value); layout(); }
+  function setView(value) { state.view = value; state.blink = false; check("view", value); layout(); }
   function setShow(value) {
     state.show = value;
     check("show", value);
@@ -309,6 +305,7 @@
   }
   function setPair(side, index) {
     state[side] = index;
+    state.blink = state.view === "single" && side === "b";   // what was chosen is shown
     $(side).value = String(index);
     layout();
   }
@@ -412,7 +409,17 @@
     } else if (event.key === "+" || event.key === "=") zoomTo(scaleNow() * 1.5, state.point);
     else if (event.key === "-" || event.key === "_") zoomTo(scaleNow() / 1.5, state.point);
     else if (event.key === "0") { state.fit = true; draw(); }
-    else if (event.key === "1") zoomTo(1, state.point);
+    else if (event.key === "o") zoomTo(1, state.point);
+    else if (/^Digit[1-9]$/.test(event.code)) {
+      const index = Number(event.code.slice(5)) - 1;
+      if (index >= images.length) return;
+      if (state.view === "grid") setView("single");
+      if (event.shiftKey) setPair("b", index);
+      else { setView("single"); setPair("a", index); }
+    } else if (event.key === "b") {
+      if (state.view !== "single") setView("single");
+      else { state.blink = !state.blink; layout(); }
+    } else if (event.key === "s") { setView("slider"); stage.focus(); }
     else if (event.key === "[") setStops(state.stops - 0.5);
     else if (event.key === "]") setStops(state.stops + 0.5);
     else if (event.key === "x") { swap(); stage.focus(); }

@@ -52,7 +52,7 @@ class Settings:
     )  # fmt: skip
     steps: int = setting(1000, "Most steps of the solver.", low=1, high=1e9, resumed="anew")
     seconds: float | None = setting(
-        None, "Most time for the solver.", option="--time", metavar="SECONDS", resumed="anew"
+        None, "Most time for the solver.", option="--time", metavar="TIME", resumed="anew"
     )
     seed: int = setting(0, "Of the random numbers.")
 
