@@ -9,8 +9,6 @@ import pytest
 
 from lambent.cli import main
 
-pytest.importorskip("torch")
-
 
 def run(capsys, *args):
     code = main([str(a) for a in args])
@@ -85,7 +83,6 @@ def test_two_processes_make_the_data_and_write_the_model_once(tmp_path):
 
 def test_a_whole_run(capsys, tmp_path, monkeypatch):
     """From a data set to a page and a model that the next command uses."""
-    pytest.importorskip("nncf")
     monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
     data = tmp_path / "data.toml"
     data.write_text(
