@@ -108,6 +108,9 @@ def view(
     from lambent.errors import OptionError
     from lambent.frame.atomic import check_target
     from lambent.frame.sequence import has_place, parse_range
+    from lambent.transport.extra import check_extra
+
+    check_extra()
     from lambent.transport.radiosity.shows import check_show
 
     suffix = Path(output).suffix.lower()

@@ -20,6 +20,7 @@ from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
+from lambent.transport.extra import check_extra
 
 Progress = Callable[[float, float, str], None]
 #: Samples a pixel of views that are without noise, and of those that gather.
@@ -58,6 +59,7 @@ def method_class(name: str) -> Any:
 
     from lambent.render.variant import mitsuba
 
+    check_extra()
     mitsuba()  # the method's modules name what a variant has
     if name not in METHODS:
         raise UnknownNameError("method", name, METHODS)

@@ -10,6 +10,7 @@ from typing import Any
 
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.atomic import check_target
+from lambent.transport.extra import check_extra
 from lambent.transport.solution import METHODS, method_class
 
 Progress = Callable[[float, float, str], None]
@@ -45,6 +46,7 @@ def solve(
     from lambent.render.variant import mitsuba
     from lambent.transport.scene import load_for_light
 
+    check_extra()
     mitsuba(device)  # the method's modules name what a variant has
     if method not in METHODS:
         raise UnknownNameError("method", method, METHODS)
