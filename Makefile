@@ -1,4 +1,4 @@
-# Two commands do everything on a fresh machine: `make demo` and `make test`.
+# Two commands are enough on a fresh machine: `make demo` and `make test`.
 # They need Python >= 3.10 and make; everything else goes into the virtual environment .venv.
 
 PYTHON ?= python3
@@ -8,10 +8,10 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 OUT    := out
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check docs blender lock clean
+.PHONY: help demo test test-all check docs blender lock clean
 
 help:  ## list what there is to make
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 demo: $(VENV)/.base  ## clean the example render; writes pictures and a report to out/
 	@mkdir -p $(OUT)
@@ -21,8 +21,11 @@ demo: $(VENV)/.base  ## clean the example render; writes pictures and a report t
 	    examples/still_life/noisy.exr $(OUT)/clean.exr --report $(OUT)/compare.html
 	@echo "Look at $(OUT)/clean_preview.png, and open $(OUT)/clean.html and $(OUT)/compare.html."
 
-test: $(VENV)/.dev  ## run all tests but the slow ones
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+test: $(VENV)/.test  ## run the tests that need no PyTorch, Ray or browser
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not heavy"
+
+test-all: test $(VENV)/.dev  ## run those, then the others (installs 6 GB more, most of it CUDA)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and heavy"
 
 check: $(VENV)/.dev  ## format, lint, types, import contract
 	$(BIN)/ruff format --check src tests benchmarks docs examples
@@ -39,9 +42,10 @@ blender: $(VENV)-blender/.done  ## an environment with Blender for the tests (Py
 
 lock:  ## renew the lock files (names, versions, hashes)
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
-	    --quiet pyproject.toml --extra test --extra docs --extra check --extra cluster \
-	    --extra train \
+	    --quiet pyproject.toml --extra test-all --extra docs --extra check \
 	    -o requirements/dev.lock
+	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
+	    --quiet pyproject.toml --extra test -c requirements/dev.lock -o requirements/test.lock
 	uv pip compile --universal --python-version 3.10 --generate-hashes --no-header --no-annotate \
 	    --quiet pyproject.toml -c requirements/dev.lock -o requirements/base.lock
 	echo 'bpy>=5.0' | uv pip compile --python-version 3.11 --generate-hashes --no-header --no-annotate \
@@ -63,7 +67,11 @@ $(VENV)/.base: $(VENV)/bin/python requirements/base.lock pyproject.toml
 	$(PIP) install --no-deps -e .
 	@touch $@
 
-$(VENV)/.dev: $(VENV)/.base requirements/dev.lock
+$(VENV)/.test: $(VENV)/.base requirements/test.lock
+	$(PIP) install --require-hashes -r requirements/test.lock
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.test requirements/dev.lock
 	$(PIP) install --require-hashes -r requirements/dev.lock
 	@touch $@
 

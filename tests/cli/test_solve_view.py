@@ -2,7 +2,10 @@
 
 import json
 
+import av
 import numpy as np
+import plyfile
+import pygltflib
 import pytest
 from PIL import Image
 
@@ -104,7 +107,6 @@ def test_a_camera_of_one_s_own(capsys, solved, tmp_path):
 
 
 def test_films_and_frames(capsys, solved, tmp_path):
-    av = pytest.importorskip("av")
     keys = tmp_path / "fly.toml"
     keys.write_text(FLY)
     film = tmp_path / "fly.mp4"
@@ -123,8 +125,6 @@ def test_films_and_frames(capsys, solved, tmp_path):
 
 
 def test_meshes_and_lightmaps(capsys, solved, tmp_path):
-    plyfile = pytest.importorskip("plyfile")
-    gltf = pytest.importorskip("pygltflib")
     ply, glb, exr = (tmp_path / f"a.{kind}" for kind in ("ply", "glb", "exr"))
     for path in (ply, glb):
         assert run(capsys, "view", solved, "-o", path)[0] == 0
@@ -133,7 +133,7 @@ def test_meshes_and_lightmaps(capsys, solved, tmp_path):
     assert len(face) > 100
     assert float(vertex["red"].max()) > 1  # the lamp, as it shines
     assert np.stack(face["vertex_indices"]).max() == len(vertex) - 1
-    document = gltf.GLTF2().load(str(glb))
+    document = pygltflib.GLTF2().load(str(glb))
     assert document.accessors[0].count == 3 * len(face)
     assert document.accessors[2].count == len(vertex)
     assert run(capsys, "view", solved, "-o", exr, "--lightmap")[0] == 0

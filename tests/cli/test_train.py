@@ -9,11 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lambent.cli import main
-
-pytest.importorskip("torch")
-
-from lambent.cli import train
+from lambent.cli import main, train
 from lambent.learn.loop import Run
 
 
@@ -92,7 +88,6 @@ def test_two_processes_make_the_data_and_write_the_model_once(tmp_path):
 
 def test_a_whole_run(capsys, tmp_path, monkeypatch):
     """From a data set to a page and a model that the next command uses."""
-    pytest.importorskip("nncf")
     monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
     data = tmp_path / "data.toml"
     data.write_text(

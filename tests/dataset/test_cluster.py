@@ -10,13 +10,12 @@ import time
 from pathlib import Path
 
 import pytest
+import ray
 from test_make import contents, lines
 
 from lambent.dataset.check import verify
 from lambent.dataset.make import make
 from lambent.errors import EngineError
-
-ray = pytest.importorskip("ray")
 
 
 @pytest.fixture(scope="module")

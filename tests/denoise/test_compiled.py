@@ -5,9 +5,6 @@ import sys
 import textwrap
 
 import numpy as np
-import pytest
-
-pytest.importorskip("openvino")
 
 SCRIPT = """
     import sys, numpy as np, lambent

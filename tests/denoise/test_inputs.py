@@ -71,8 +71,10 @@ def test_the_kernel_is_the_description(without):
     np.testing.assert_allclose(packed[0], expected, atol=2e-6)
 
 
+@pytest.mark.heavy
 def test_pytorch_encodes_alike():
-    torch = pytest.importorskip("torch")
+    import torch
+
     made = frame()
     signals = inputs.signals_of(made)
     tensors = inputs.Signals(

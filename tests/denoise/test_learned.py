@@ -15,8 +15,6 @@ from lambent.filters.denoiser import create
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 
-pytest.importorskip("openvino")
-
 every_size = pytest.mark.parametrize("kind", [Lambent, LambentFast, LambentBest])
 
 

@@ -1,13 +1,12 @@
 """Two looks in one graph: each the network of a picture turned by half."""
 
 import numpy as np
+import openvino as ov
 import pytest
 
 from lambent.denoise.inputs import CHANNELS, PLANES
 from lambent.denoise.model_file import loaded_model
 from lambent.denoise.views import turned_inputs, turned_outputs, two_views
-
-ov = pytest.importorskip("openvino")
 
 
 def run(graph, packed):

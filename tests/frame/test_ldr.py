@@ -66,10 +66,12 @@ def test_integers_come_back_exactly(dtype: type, ending: str, alpha: bool, tmp_p
         np.testing.assert_array_equal(again, pixels)
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_png16_agrees_with_opencv(channels: int, tmp_path: Path) -> None:
     """The twin reads ours and we read the twin's, which uses other row filters."""
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     pixels = ramp(np.uint16, channels)
     np.testing.assert_array_equal(read_png16(write_png16(pixels)), pixels)
     if channels == 2:
@@ -162,10 +164,12 @@ def radiance(width: int = 40) -> np.ndarray:
     return image
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("width", [1, 5, 8, 40, 300])
 def test_hdr_agrees_with_opencv(width: int, tmp_path: Path) -> None:
     """The twin reads ours to the same values, and we read the twin's."""
-    cv2 = pytest.importorskip("cv2")
+    import cv2
+
     image = radiance(width)
     (tmp_path / "ours.hdr").write_bytes(write_hdr(image))
     ours = read(tmp_path / "ours.hdr").colour

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
+import torch
 
 from lambent.dataset.item import Still
 from lambent.frame.frame import Frame

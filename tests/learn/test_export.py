@@ -13,8 +13,6 @@ from lambent.frame.role import Role
 from lambent.learn.export import export, float_weights
 from lambent.learn.networks.lambent import LambentNet, denoised
 
-pytest.importorskip("openvino")
-
 
 @pytest.fixture(scope="module")
 def network():

@@ -16,8 +16,6 @@ from lambent.learn.export import export
 from lambent.learn.finetune import FinetuneTask, finetune, pairs_of
 from lambent.learn.networks.lambent import LambentNet
 
-pytest.importorskip("openvino")
-
 
 @pytest.fixture(scope="module")
 def start(tmp_path_factory):

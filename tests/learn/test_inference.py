@@ -16,8 +16,6 @@ from lambent.learn import inference
 from lambent.learn.export import export, float_weights
 from lambent.learn.networks.lambent import LambentNet
 
-pytest.importorskip("openvino")
-
 
 @pytest.fixture
 def on_processor(monkeypatch):

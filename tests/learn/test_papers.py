@@ -352,7 +352,6 @@ def test_tiles_are_exact_and_layers_come_along(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["kpcn", "modular"])
 def test_int8_stays_near(name, tmp_path, monkeypatch):
-    pytest.importorskip("nncf")
     monkeypatch.setattr(rendered, "CALIBRATION", 4)
     task, _, path, _ = exported(name, tmp_path)
     run = Run(tmp_path / "run")

@@ -381,7 +381,6 @@ print("alike")
 
 
 def test_the_kernels_for_cuda_are_the_plain_tensors():
-    pytest.importorskip("triton")
     environment = {**os.environ, "TRITON_INTERPRET": "1"}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", INTERPRETED],

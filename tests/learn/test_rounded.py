@@ -2,6 +2,7 @@
 
 import made
 import numpy as np
+import openvino as ov
 import pytest
 import torch
 from made import few_threads  # noqa: F401
@@ -54,7 +55,6 @@ def test_training_and_evaluation_round_alike(network):
 
 
 def test_it_runs_in_int8_and_comes_back(network, tmp_path):
-    ov = pytest.importorskip("openvino")
     from lambent.denoise.model_file import read_model
 
     path = tmp_path / "int8.lambent"

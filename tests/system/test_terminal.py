@@ -179,7 +179,6 @@ def test_compare_and_explain(screen: Screen, nasty: Path, place: Path) -> None:
 
 
 def test_render_solve_view(screen: Screen, tmp_path: Path) -> None:
-    pytest.importorskip("mitsuba")
     folder = tmp_path / NASTY  # of bytes that are no UTF-8 Mitsuba cannot make a path
     folder.mkdir()
     scene = folder / f"{NASTY}.xml"
@@ -205,7 +204,6 @@ def test_render_solve_view(screen: Screen, tmp_path: Path) -> None:
 
 
 def test_data_sets(screen: Screen, place: Path) -> None:
-    pytest.importorskip("mitsuba")
     values = {
         "name": NASTY, "seed": 5, "source": "fake:FakeSource", "count": 2, "clip_count": 0,
         "items_per_scene": 2, "cameras_per_scene": 1, "view": [64, 48], "crop": 32, "levels": 2,
@@ -227,8 +225,8 @@ def test_data_sets(screen: Screen, place: Path) -> None:
     with_json(screen, "dataset", "info", place / f"none{NASTY_FILE}", code=2)
 
 
+@pytest.mark.heavy
 def test_training(screen: Screen, place: Path) -> None:
-    pytest.importorskip("torch")
     recipe = place / f"{NASTY_FILE}.toml"
     recipe.write_text(f"name = {json.dumps(NASTY)}\n".replace("\x7f", "\\u007f"))
     screen("train", recipe, code=4, names=False)

@@ -122,6 +122,9 @@ def view(
     from lambent.errors import OptionError
     from lambent.frame.atomic import check_target
     from lambent.frame.sequence import has_place, parse_range
+    from lambent.transport.extra import check_extra
+
+    check_extra()
 
     output = output or _default_output(solution, frames is not None, lightmap)
     suffix = Path(output).suffix.lower()

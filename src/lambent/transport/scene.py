@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lambent.errors import LambentError, OptionError, stop_by_interrupt
 from lambent.render.scene import LoadedScene, build, load
 from lambent.render.variant import mitsuba
+from lambent.transport.extra import check_extra
 
 
 def load_for_light(source: Any, **options: Any) -> LoadedScene:
@@ -23,6 +24,7 @@ def load_for_light(source: Any, **options: Any) -> LoadedScene:
 
     Raises what `load` raises, and `OptionError` for a scene in memory that has instances.
     """
+    check_extra()
     loaded = load(source, **options)
     importlib.import_module("lambent.transport.diffuse")  # registers an integrator
     if not any(shape.class_name() == "Instance" for shape in loaded.scene.shapes()):

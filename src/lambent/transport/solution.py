@@ -21,6 +21,7 @@ from lambent.frame.frame import Frame
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
+from lambent.transport.extra import check_extra
 from lambent.transport.methods import METHODS, Method, Progress, View
 
 #: Samples a pixel of a view where nothing is said.
@@ -150,6 +151,7 @@ def open_solution(path: str | os.PathLike[str], method: str | None = None) -> So
     there = archive.card["method"]
     if method is not None and there != method:
         raise FileError(f"holds a solution by {there[:40]}, not by {method}", file=path)
+    check_extra()
     solution: Solution = METHODS[there].load(archive)
     return solution
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from lambent.errors import FileError, OptionError
 from lambent.frame.atomic import check_target
+from lambent.transport.extra import check_extra
 from lambent.transport.methods import DEFAULT_METHOD, METHODS, Method, Progress, Watch
 from lambent.transport.solution import Solution, open_solution
 
@@ -44,6 +45,7 @@ def solve(
     from lambent.render.variant import mitsuba
     from lambent.transport.scene import load_for_light
 
+    check_extra()
     mitsuba(device)  # the method's modules name what a variant has
     if resume and output is None:
         raise OptionError("resuming needs the solution's file", remedy="give it: -o FILE.lambent")
