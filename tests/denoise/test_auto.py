@@ -49,7 +49,8 @@ def noisy(splatted: bool, seed: int = 0, dark: bool = False) -> lambent.Frame:
 
 def test_a_splatted_filter_gets_lambent_any_other_file_the_mean() -> None:
     splat, white = choose(noisy(splatted=True)), choose(noisy(splatted=False))
-    assert splat.model == "lambent" and "correlates by" in splat.reason
+    assert splat.model == "lambent"
+    assert "correlates by" in splat.reason
     assert white.model == "lambent-oidn"
 
 
@@ -90,7 +91,9 @@ def test_where_all_layers_are_dark_none_gets_light() -> None:
     own = create("lambent")(frame)
     dark = (own.extras["direct"].data == 0) & (own.extras["indirect"].data == 0)
     assert dark[..., 2].all()
-    assert not mean.colour[dark].any() and not parts[0][dark].any() and not parts[1][dark].any()
+    assert not mean.colour[dark].any()
+    assert not parts[0][dark].any()
+    assert not parts[1][dark].any()
     np.testing.assert_allclose(parts[0] + parts[1], mean.colour, rtol=3e-7, atol=1e-9)
 
 
@@ -100,7 +103,7 @@ def test_tiles_agree_with_the_whole() -> None:
     frame = lambent.Frame.from_arrays(
         colour=light[0] + light[1], lighting={"direct": light[0], "indirect": light[1]}
     )
-    from lambent.denoise.pipeline import choose_layers, Settings
+    from lambent.denoise.pipeline import Settings, choose_layers
     from lambent.denoise.tiles import filter_tiles, plan_tiles
 
     denoiser = create("lambent-oidn").fitted(frame)
@@ -124,7 +127,8 @@ def test_a_file_says_what_was_chosen(tmp_path: Path) -> None:
 
     with OpenEXR.File(str(tmp_path / "a_clean.exr"), header_only=True) as file:
         stamp = json.loads(file.header(0)[STAMP])
-    assert stamp["model"] == "auto" and stamp["chosen"] == "lambent"
+    assert stamp["model"] == "auto"
+    assert stamp["chosen"] == "lambent"
     run += ["--model", "lambent-oidn", "--dry-run", "-o", tmp_path / "b.exr", "--json"]
     plan = json.loads(subprocess.run(run, capture_output=True, text=True, check=True).stdout)
     assert plan["model"] == "lambent-oidn"

@@ -47,8 +47,8 @@ def choose(frame: Frame) -> Choice:
     if noise.splatted:
         return Choice(
             "lambent",
-            f"the noise of neighbouring pixels correlates by {noise.correlation:.2f}, as a splatted "
-            "pixel filter makes it",
+            f"the noise of neighbouring pixels correlates by {noise.correlation:.2f}, as splatted "
+            "pixel filters make it",
         )
     return Choice("lambent-oidn", "no sign of a splatted pixel filter")
 

@@ -38,7 +38,7 @@ class DnCNN(Denoiser):
         title="DnCNN, for photographs",
         paper="Zhang et al. 2017",
         cost="20 convolutions of 64 filters, 667 kMAC a pixel",
-        when="photographs with strong grain (sigma above 25 of 255; below, `oidn`); not for raw renders",
+        when="photographs with strong grain (sigma above 25 of 255; weaker: oidn); not renders",
         linear=False,
     )
 

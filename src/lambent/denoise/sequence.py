@@ -285,8 +285,9 @@ def run_jobs(
 ) -> tuple[list[Result], list[tuple[Job, LambentError]]]:
     """Run the three threads over ``jobs``; existing outputs are replaced.
 
-    Where the model is chosen by the file, the first frame of a shot chooses for all of it:
-    ``finished`` are frames that were cleaned before and count as the shot's. Returns results and failures. On Ctrl-C the frame being written is finished, nothing else is.
+    Where the model is chosen by the file, the first frame of a shot chooses for all of it;
+    ``finished`` are frames that were cleaned before and belong to the shots, too.
+    Returns results and failures. On Ctrl-C the frame being written is finished, nothing else is.
     """
     line = _Line(jobs, settings, on_done)
     shots = _Shots([*finished, *jobs], settings)

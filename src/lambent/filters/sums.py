@@ -100,7 +100,7 @@ def find_sums(
 
 
 class FrameSums:
-    """The sums among the layers of one frame; looked for once, kept while its tiles are filtered."""
+    """The sums among the layers of a frame, looked for once and kept while tiles are filtered."""
 
     def __init__(self, frame: Frame) -> None:
         self._frame = frame

@@ -82,8 +82,8 @@ def splatted_filter(frame: Frame, noise: Noise | None) -> Suspicion | None:
         "splatted pixel filter",
         "warning",
         frame.layers[Role.COLOUR, Stat.MEAN].name,
-        f"The noise of neighbouring pixels correlates by {noise.correlation:.2f} (white noise: 0, a splatted "
-        "tent filter: 0.25), so that every denoiser takes part of it for texture.",
+        f"The noise of neighbouring pixels correlates by {noise.correlation:.2f} (white noise: 0, "
+        "a splatted tent filter: 0.25), so that every denoiser takes part of it for texture.",
         "Render with a box filter of one pixel, or with filter importance sampling; blur the "
         "clean picture afterwards if the wider filter is wanted.",
     )
