@@ -124,7 +124,7 @@ def test_files_of_the_repository_exist(page: Path) -> None:
         assert (ROOT / name.rstrip("./")).exists(), name
     package = ROOT / "src" / "lambent"
     for name in re.findall(r"`([a-z]+/[\w/]+\.py)`", page.read_text()):
-assert (ROOT / name).exists() or any(package.rglob(name)), name
+        assert (ROOT / name).exists() or any(package.rglob(name)), name
 
 
 def test_there_is_something_to_check() -> None:
