@@ -18,6 +18,7 @@ import ablations
 import denoise
 import filters
 import papers
+import photo_models
 
 #: What the tables of the scenes that were kept back call each kind of file.
 KINDS = {
@@ -58,6 +59,10 @@ def test_filters() -> None:
 
 def test_learned_denoisers() -> None:
     assert text("learned") == papers.tables(figures("learned"))
+
+
+def test_photographs() -> None:
+    assert text("photo_models") == photo_models.table(figures("photo_models")) + "\n"
 
 
 @pytest.mark.parametrize(
