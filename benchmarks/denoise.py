@@ -2,6 +2,7 @@
 
     python benchmarks/denoise.py [--cache DIR] [--models lambent,oidn,...] [--spp 1,4,16,64]
                                  [--no-speed] [--no-quality] [--out docs/results/denoise]
+    python benchmarks/denoise.py --tables docs/results/denoise   # from the JSON, nothing measured
 
 Quality: on every frame of ``benchmarks/denoise_frames.py``, with the layers of four kinds of file:
 ``full`` (every feature and variance), ``plain`` (colour, albedo, normal), ``colour`` alone, and
@@ -9,8 +10,9 @@ Quality: on every frame of ``benchmarks/denoise_frames.py``, with the layers of 
 Trimmed relMSE less the reference's variance, HDR-FLIP, DSSIM; each as the geometric mean over the
 scenes of the ratio to OIDN High. Speed: 1280x720, colour, albedo, normal, depth, from call to
 result, second call and later; the same with four more layers; peak memory of the process. All in
-one run, one model at a time. Prints Markdown; with ``--out`` also writes it, and single figures as
-JSON beside it.
+one run, one model at a time. Every column says how many scenes are in it; a model that did not do
+all of them, and one that failed, is marked. Prints Markdown; with ``--out`` also writes it, and
+single figures as JSON beside it.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ def quality(models: list[str], cache: Path, levels: list[int]) -> list[Row]:
     from lambent.frame.files import read
 
     jobs: list[tuple[Row, Any, Path]] = []
+    failed: list[Row] = []
     for path in sorted(cache.glob("*spp.exr")):
         scene, _, spp = path.stem.rpartition("-")
         if int(spp.removesuffix("spp")) not in levels:
@@ -84,18 +87,30 @@ def quality(models: list[str], cache: Path, levels: list[int]) -> list[Row]:
                     image = create(model)(given, "beauty").colour
                 except LambentError as error:
                     print(f"{path.name}, {kind}, {model}: {error}", file=sys.stderr)
+                    failed.append({**about, "model": model, "failed": str(error)})
                     continue
                 jobs.append(({**about, "model": model}, image, reference))
         print(f"{path.name} denoised", file=sys.stderr, flush=True)
     # fresh processes: a fork of one with the engines' threads would wait for ever
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         found = pool.map(measured, [j[1] for j in jobs], [j[2] for j in jobs])
-        return [{**row, **errors} for (row, _, _), errors in zip(jobs, found, strict=True)]
+        rows = [{**row, **errors} for (row, _, _), errors in zip(jobs, found, strict=True)]
+    return rows + failed
+
+
+def scenes_of(rows: list[Row], kind: str, model: str, spp: int) -> set[str]:
+    """The scenes that a model did."""
+    here = (r for r in rows if (r["kind"], r["model"], r["spp"]) == (kind, model, spp))
+    return {r["scene"] for r in here if ERRORS[0] in r}
 
 
 def ratios(rows: list[Row], kind: str, model: str, spp: int) -> dict[str, float]:
     """Geometric means over the scenes of a model's errors over the yardstick's."""
-    by = {(r["scene"], r["model"]): r for r in rows if r["kind"] == kind and r["spp"] == spp}
+    by = {
+        (r["scene"], r["model"]): r
+        for r in rows
+        if r["kind"] == kind and r["spp"] == spp and ERRORS[0] in r
+    }
     found = {}
     for what in ERRORS:
         pairs = [
@@ -118,17 +133,31 @@ def quality_tables(rows: list[Row]) -> str:
         )]  # fmt: skip
         if not models:
             continue
-        scenes = sorted({r["scene"] for r in rows if r["kind"] == kind})
-        lines += [f"\n### {kind}: {len(scenes)} scenes\n"]
-        table = []
-        for model in models:
-            cells = [model]
-            for spp in levels:
-                r = ratios(rows, kind, model, spp)
-                cells.append(" / ".join(f"{r[e]:.2f}" for e in ERRORS if e in r) or "")
-            table.append(cells)
-        lines.append(markdown_table(["model", *(f"{spp} spp" for spp in levels)], table))
+        counts = {spp: len(scenes_of(rows, kind, YARDSTICK, spp)) for spp in levels}
+        columns = [spp for spp in levels if counts[spp]]
+        lines += [f"\n### {kind}\n"]
+        table = [
+            [model, *(_cell(rows, kind, model, spp, counts[spp]) for spp in columns)]
+            for model in models
+        ]
+        head = ["model", *(f"{spp} spp, {counts[spp]} scenes" for spp in columns)]
+        lines.append(markdown_table(head, table))
     return "\n".join(lines)
+
+
+def _cell(rows: list[Row], kind: str, model: str, spp: int, count: int) -> str:
+    """The errors of a model in a column of ``count`` scenes."""
+    found = ratios(rows, kind, model, spp)
+    if not found:
+        return "failed" if _failures(rows, kind, model, spp) else "–"
+    text = " / ".join(f"{found[e]:.2f}" for e in ERRORS)
+    done = len(scenes_of(rows, kind, model, spp))
+    return text if done == count else f"{text} ({done} scenes)"
+
+
+def _failures(rows: list[Row], kind: str, model: str, spp: int) -> list[str]:
+    here = (r for r in rows if (r["kind"], r["model"], r["spp"]) == (kind, model, spp))
+    return [r["failed"] for r in here if "failed" in r]
 
 
 # ----------------------------------------------------------------------- speed
@@ -186,6 +215,7 @@ def speed_table(rows: list[Row]) -> str:
     lines = []
     for row in rows:
         if "seconds_0" not in row:
+            lines.append([row["model"], "failed", *[""] * 4])
             continue
         cells = [row["model"], f"{row['seconds_0']:.3f}"]
         cells.append(f"{row['seconds_0'] / base['seconds_0']:.2f}")
@@ -200,6 +230,18 @@ def speed_table(rows: list[Row]) -> str:
     return markdown_table(head, lines)
 
 
+def text_of(figures: dict[str, Any]) -> str:
+    """All tables as Markdown."""
+    text = f"{figures['machine']}\n"
+    if "speed" in figures:
+        text += f"\n### Time and memory, 1280x720\n\n{speed_table(figures['speed'])}\n"
+    if "quality" in figures:
+        text += "\nRatios to OIDN High: trimmed relMSE / HDR-FLIP / DSSIM; below 1 is better; "
+        text += "geometric means over scenes.\n"
+        text += quality_tables(figures["quality"]) + "\n"
+    return text
+
+
 def main() -> None:
     if len(sys.argv) > 2 and sys.argv[1] == "--speed-worker":
         speed_worker(sys.argv[2], int(sys.argv[3]))
@@ -211,18 +253,21 @@ def main() -> None:
     parser.add_argument("--no-speed", action="store_true")
     parser.add_argument("--no-quality", action="store_true")
     parser.add_argument("--out", type=Path, help="write OUT.md and OUT.json")
+    parser.add_argument("--tables", type=Path, help="re-make TABLES.md from TABLES.json")
     arguments = parser.parse_args()
+    if arguments.tables:
+        figures = json.loads(arguments.tables.with_suffix(".json").read_text())
+        arguments.tables.with_suffix(".md").write_text(text_of(figures))
+        return
     models = arguments.models.split(",")
-    text, figures = f"{machine()}\n", {}
+    figures: dict[str, Any] = {"machine": machine()}
     if not arguments.no_speed:
         timed = [*models, *(f"{m}@{isa}" for m in models if m == "lambent" for isa in ISAS)]
         figures["speed"] = speed(timed)
-        text += f"\n### Time and memory, 1280x720\n\n{speed_table(figures['speed'])}\n"
     if not arguments.no_quality:
         levels = [int(v) for v in arguments.spp.split(",")]
         figures["quality"] = quality(models, arguments.cache, levels)
-        text += "\nRatios to OIDN High: trimmed relMSE / HDR-FLIP / DSSIM; below 1 is better.\n"
-        text += quality_tables(figures["quality"]) + "\n"
+    text = text_of(figures)
     print(text)
     if arguments.out:
         arguments.out.with_suffix(".md").write_text(text)

@@ -113,19 +113,20 @@ def with_errors(row: Row, cache: Path) -> Row:
 def measured(image: Any, reference_path: Path) -> Row:
     """The errors of an image."""
     from lambent.frame.files import read
-    from lambent.frame.role import Role, Stat
     from lambent.metrics.flip import flip_hdr
+    from lambent.metrics.reference import reference_variance
     from lambent.metrics.relmse import TRIM, relmse
     from lambent.metrics.ssim import dssim
 
     reference = read(reference_path)
-    truth, variance = reference.colour, reference.get(Role.COLOUR, Stat.VARIANCE)
+    truth, variance = reference.colour, reference_variance(reference)
     return {
         "relmse": relmse(image, truth, reference_variance=variance),
         "relmse_trimmed": relmse(image, truth, TRIM, reference_variance=variance),
         "dssim": dssim(image, truth),
         "flip": flip_hdr(image, truth),
         "reference_spp": reference.spp,
+        "reference_noise_off": variance is not None,
     }
 
 

@@ -204,8 +204,9 @@ def card_cells(model: str) -> list[str]:
     ]
 
 
-def tables(rows: list[Row], seconds: dict[str, float]) -> str:
+def tables(figures: dict[str, Any]) -> str:
     """The table, sorted by relMSE at the middle number of samples, and the papers' order."""
+    rows, seconds = figures["rows"], figures["seconds"]
     by = means(rows)
     levels = sorted({spp for _, spp in by})
     middle = levels[len(levels) // 2]
@@ -220,7 +221,9 @@ def tables(rows: list[Row], seconds: dict[str, float]) -> str:
     for model in models:
         time_ = f"{seconds[model]:.2f}" if model in seconds else ""
         name = f"`{model}`"
-        lines.append([name, *values(model, "relmse_trimmed", "{:.4f}"), time_, *card_cells(model)])
+        lines.append(
+            [name, *values(model, "relmse_trimmed", "{:.4f}"), time_, *figures["costs"][model]]
+        )
         more.append([name, *values(model, "dssim", "{:.3f}"), *values(model, "flip", "{:.3f}")])
     head = ["model", *(f"relMSE, {n} spp" for n in levels)]
     head += ["s, 1280x720", "kMAC/pixel", "k parameters", "hours"]
@@ -236,7 +239,7 @@ def tables(rows: list[Row], seconds: dict[str, float]) -> str:
             remarks.append(f"- {why}: {', '.join(words)}")
     scenes = sorted({row["scene"] for row in rows})
     return (
-        f"{len(scenes)} scenes: {', '.join(scenes)}. {machine()}.\n\n"
+        f"{len(scenes)} scenes: {', '.join(scenes)}. {figures['machine']}.\n\n"
         f"{markdown_table(head, lines)}\n\n{markdown_table(second, more)}\n\n"
         + "\n".join(remarks)
         + "\n"
@@ -268,14 +271,15 @@ def main() -> None:
         if row["model"] not in known
     ]
     seconds = {} if arguments.no_speed else speed(models)
-    text = tables(rows, seconds)
+    costs = {name: card_cells(name) for name in {row["model"] for row in rows}}
+    figures = {"machine": machine(), "costs": costs, "rows": rows, "seconds": seconds}
+    text = tables(figures)
     if arguments.int8 is not None:
         text += f"\n{int8(arguments.int8, arguments.cache, levels)}\n"
     print(text)
     if arguments.out is not None:
         arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")
-        found = {"rows": rows, "seconds": seconds}
-        arguments.out.with_suffix(".json").write_text(json.dumps(found), encoding="utf-8")
+        arguments.out.with_suffix(".json").write_text(json.dumps(figures), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def denoise(
             help="Where to write: a file, a pattern, or a directory. Default: IN_clean.exr.",
         ),
     ] = None,
-    model: ModelOption = "lambent",
+    model: ModelOption = "auto",
     passes: Annotated[
         str,
         typer.Option(
@@ -322,7 +322,9 @@ def _run_many(
             _print_line(result, told)
 
     with Progress(what, quiet=as_json) as progress:
-        done, failed = sequence.run_jobs(todo, settings, progress.report, on_done, extras.any)
+        done, failed = sequence.run_jobs(
+            todo, settings, progress.report, on_done, extras.any, finished
+        )
     if as_json:
         print_json(
             {

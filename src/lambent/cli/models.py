@@ -160,6 +160,7 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("data", ", ".join(sets)),
         ("trained", _effort(card)),
+        ("weights", _weights(card)),
         ("fails", "; ".join(card.get("known_failures", ()))),
         (
             "score",
@@ -172,6 +173,12 @@ def _training(card: dict[str, Any]) -> list[tuple[str, str]]:
             ),
         ),
     ]
+
+
+def _weights(card: dict[str, Any]) -> str:
+    """Which weights these are: the commit that brought them, and of what they are a mean."""
+    averaged = card.get("averaged", "in a way that is not noted")
+    return f"averaged {averaged}" + (f"; commit {card['commit']}" if "commit" in card else "")
 
 
 def _effort(card: dict[str, Any]) -> str:

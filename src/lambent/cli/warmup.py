@@ -39,12 +39,14 @@ def _default() -> str:
 
 def _steps(model: str) -> list[Callable[[], object]]:
     """What to do for a model, in the order in which it is needed, the slow first."""
-    learned = model.startswith("lambent")
+    learned = model == "auto" or model.startswith("lambent")
     steps: list[Callable[[], object]] = [partial(importlib.import_module, "numpy")]
     if model.startswith("oidn"):
         steps.append(partial(importlib.import_module, "mitsuba_oidn"))
     if learned:
         steps.append(_openvino)
+    if model in ("auto", "lambent-oidn"):
+        steps.append(partial(importlib.import_module, "mitsuba_oidn"))
     steps += [partial(importlib.import_module, name) for name in ("OpenEXR", "lambent.frame.files")]
     if learned:
         steps.append(partial(_prefetch, model))

@@ -38,7 +38,7 @@ class DnCNN(Denoiser):
         title="DnCNN, for photographs",
         paper="Zhang et al. 2017",
         cost="20 convolutions of 64 filters, 667 kMAC a pixel",
-        when="photographs and tone-mapped pictures with grainy noise",
+        when="photographs with strong grain (sigma above 25 of 255; weaker: oidn); not renders",
         group="work",
         linear=False,
     )
@@ -69,7 +69,7 @@ class DnCNN(Denoiser):
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
         """Whether the frame is what the network knows."""
-        if _is_display(frame):
+        if is_display(frame):
             return ()
         return (
             "dncnn knows photographs: radiance was tone-mapped for it, and what is brighter than "
@@ -121,15 +121,15 @@ class DnCNN(Denoiser):
             return network.outputs(ready)[0][0].copy()
 
 
-# ------------------------------------------------------------------- private
-
-
-def _is_display(frame: Frame) -> bool:
+def is_display(frame: Frame) -> bool:
     """Whether the frame comes from a picture of display values, of 16 bits at most."""
     facts = frame.origin.payload if frame.origin is not None else None
     return isinstance(facts, Facts) and not facts.floating
 
 
+# ------------------------------------------------------------------- private
+
+
 def _exposure_of(frame: Frame) -> float:
     """1 for display pictures, else that of the tone map."""
-    return 1.0 if _is_display(frame) else auto_exposure(frame.colour)
+    return 1.0 if is_display(frame) else auto_exposure(frame.colour)

@@ -37,6 +37,8 @@ from lambent.frame.role import Role, Stat
 
 #: The EXR attribute that holds the settings a file was made with.
 STAMP = "lambent:settings"
+#: Its entry for the model that was chosen for the file; the other entries are what was asked for.
+CHOSEN = "chosen"
 
 #: What the default output's name has more than the input's.
 SUFFIX = "_clean"
@@ -212,7 +214,8 @@ def process(
     ``keep``: hold on to the input for a preview or a report. Raises `LayerError` if no view has a
     beauty.
     """
-    view_with_beauty(loaded.views)  # raises if there is nothing to filter at all
+    main = view_with_beauty(loaded.views)  # raises if there is nothing to filter at all
+    settings = settings.suited(loaded.views[main])
     cleaned = {
         name: clean(view, settings, progress)
         for name, view in loaded.views.items()
@@ -265,7 +268,7 @@ def save(processed: Processed, output: Path, settings: Settings, overwrite: bool
 
     start = time.perf_counter()
     make_folder(output.parent)
-    attributes = {STAMP: stamp(settings)}
+    attributes = {STAMP: stamp(settings, processed.result.model)}
     if len(processed.views) == 1:
         frame = next(iter(processed.views.values()))
         written = write_noted(output, frame, overwrite=overwrite, attributes=attributes)
@@ -284,9 +287,10 @@ def save(processed: Processed, output: Path, settings: Settings, overwrite: bool
     )
 
 
-def stamp(settings: Settings) -> str:
-    """The settings as the text that the attribute `STAMP` holds."""
-    return json.dumps(settings.key(), sort_keys=True)
+def stamp(settings: Settings, model: str) -> str:
+    """The settings, and the model that was chosen, as the text that the attribute `STAMP` holds."""
+    chosen = {} if model == settings.model else {CHOSEN: model}
+    return json.dumps({**settings.key(), **chosen}, sort_keys=True)
 
 
 def check_output(source: Path, output: Path, overwrite: bool) -> None:
@@ -327,6 +331,7 @@ def outline(
     """What `denoise_file` would do, for ``--dry-run``: roles, layers, output, tiles."""
     loaded = load(source, settings, number)
     first = loaded.views[view_with_beauty(loaded.views)]
+    settings = settings.suited(first)
     return {
         "source": str(source),
         "output": str(output),
@@ -347,6 +352,7 @@ def _outlined(frame: Frame, settings: Settings) -> dict[str, Any]:
         denoiser.check(frame)
         chosen = choose_layers(frame, settings)
         tiles, notes = plan_frame(frame, denoiser, chosen, settings).describe(), []
+        notes += filter(None, [settings.remark])
     names = [layer.name for layer in chosen]
     return {
         "roles": {

@@ -3,7 +3,8 @@
 The file is an archive (`lambent.archive`) of the kind ``model``::
 
     card.json      what the model is: name, size, what it reads (a key of `READS`) and the
-                   version of that, how it was trained on what, its scores
+                   version of that, how it was trained on what, its scores; ``averaged``: of
+                   which weights it is a mean; ``commit``: the one that brought these weights
     network.xml    the network as OpenVINO reads it
     network.bin    its weights
 
@@ -51,6 +52,8 @@ _PERHAPS = {
     "begun_with": list[dict[str, Any]],
     "known_failures": list[str],
     "int8": bool,
+    "averaged": str,
+    "commit": str,
 }
 #: Values that sizes follow from: what needs them, lowest and highest.
 _RANGES = {

@@ -24,6 +24,7 @@ gives their surroundings is less than they had. Where it is asked for, they get 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -77,7 +78,8 @@ class Settings:
     that was lost back to where it was lost (`denoise.light`). ``alpha``: filter the
     coverage too, or None for "where it is noisy". ``roles``: role to layer name or guide file, as
     in ``--map``. ``spp``: samples per pixel, None for what the file tells. ``max_memory`` in
-    bytes, for the whole process. ``threads``: None for all. ``params``: of the model.
+    bytes, for the whole process. ``threads``: None for all. ``params``: of the model. ``remark``:
+    what to note on every frame, such as why this model was chosen for it.
     """
 
     model: str = DEFAULT_MODEL
@@ -91,6 +93,7 @@ class Settings:
     threads: int | None = None
     device: str = "auto"
     params: Mapping[str, Any] = field(default_factory=dict)
+    remark: str = ""
 
     @classmethod
     def checked(
@@ -154,6 +157,15 @@ class Settings:
         )
         settings.denoiser()
         return settings
+
+    def suited(self, frame: Frame) -> Settings:
+        """These settings with a model for this frame in place of `auto`, and the reason."""
+        if self.model != "auto":
+            return self
+        from lambent.denoise.auto import choose
+
+        choice = choose(frame)
+        return dataclasses.replace(self, model=choice.model, remark=choice.sentence())
 
     def denoiser(self) -> Denoiser:
         """A new denoiser as these settings want it."""
@@ -220,7 +232,8 @@ def denoise(
     """Denoise a frame, a file, or an array of linear radiance ``(H, W, 3)``.
 
     ``model`` and its ``params`` as listed by ``lambent models``, or the path of a model file
-    (``"mine.lambent"``). ``passes``: ``"beauty"``,
+    (``"mine.lambent"``); ``"auto"`` takes the better one for this frame, and notes which and why.
+    ``passes``: ``"beauty"``,
     ``"all"`` lighting layers, or names. ``strength`` blends from the input (0) to the result (1).
     ``keep_light``: the light of fireflies, which every filter loses, goes to their surroundings.
     ``alpha``: filter coverage too; None: where it is noisy. ``albedo`` and ``normal``: names of
@@ -265,9 +278,10 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
     from lambent.frame.repair import repair
 
     clock = _Stages()
-    denoiser = settings.denoiser()
     if not frame.has(Role.COLOUR):
         raise frame.missing(Role.COLOUR)
+    settings = settings.suited(frame)
+    denoiser = settings.denoiser()
     denoiser.check(frame)
     repaired, repairs = repair(frame, layers=looked_at(frame, denoiser))
     clock.done("repair")
@@ -281,7 +295,7 @@ def clean(frame: Frame, settings: Settings, progress: Progress | None = None) ->
             if layer in chosen or layer is not frame.layer(*layer.key):
                 same = same.with_layer(layer)
         return Cleaned(same, (), repairs, None, clock.seconds)
-    repaired = repaired.noted(*denoiser.remarks(repaired))
+    repaired = repaired.noted(*filter(None, [settings.remark]), *denoiser.remarks(repaired))
     if settings.device == "cuda" and "device" not in parameters(settings.model):
         repaired = repaired.noted(f"the model '{settings.model}' runs on the processor only")
     denoiser, share = denoiser.at_strength(settings.strength)

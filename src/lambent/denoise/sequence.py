@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from lambent.denoise.collisions import Companions, check_collisions, identity
 from lambent.denoise.files import (
+    CHOSEN,
     PREVIEW_SUFFIX,
     STAMP,
     SUFFIX,
@@ -37,7 +38,7 @@ from lambent.denoise.files import (
     process,
     save,
 )
-from lambent.denoise.pipeline import Settings
+from lambent.denoise.pipeline import Settings, view_with_beauty
 from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, LambentError, OutputError
 from lambent.frame.atomic import refuse_stdout
@@ -183,6 +184,7 @@ def state_of(job: Job, settings: Settings) -> State:
         return State.FOREIGN
     if older:
         return State.OUTDATED
+    found.pop(CHOSEN, None)
     return State.FINISHED if found == settings.key() else State.OTHER_SETTINGS
 
 
@@ -261,7 +263,7 @@ def denoise_sequence(
         raise FileError("no frame was found", file=source, remedy="check the pattern and --frames")
     todo, finished = sort_out(found.jobs, settings, overwrite)
     make_folders(todo)
-    done, failed = run_jobs(todo, settings, progress, on_done)
+    done, failed = run_jobs(todo, settings, progress, on_done, finished=finished)
     return SequenceResult(
         tuple(done), tuple(finished), tuple(failed), found.missing, found.left_out
     )
@@ -279,19 +281,23 @@ def run_jobs(
     progress: Progress | None = None,
     on_done: Callable[[Job, Processed, Result], None] | None = None,
     keep: bool = False,
+    finished: Sequence[Job] = (),
 ) -> tuple[list[Result], list[tuple[Job, LambentError]]]:
     """Run the three threads over ``jobs``; existing outputs are replaced.
 
+    Where the model is chosen by the file, the first frame of a shot chooses for all of it;
+    ``finished`` are frames that were cleaned before and belong to the shots, too.
     Returns results and failures. On Ctrl-C the frame being written is finished, nothing else is.
     """
     line = _Line(jobs, settings, on_done)
+    shots = _Shots([*finished, *jobs], settings)
     line.start()
     try:
         for index, (job, loaded) in enumerate(line.loaded()):
             if progress is not None:
                 progress(index, len(jobs), job.source.name)
             try:
-                line.write(job, process(loaded, settings, keep=keep))
+                line.write(job, process(loaded, shots.settings(job, loaded), keep=keep))
             except LambentError as error:
                 line.fail(job, error)
             del loaded
@@ -305,6 +311,39 @@ def run_jobs(
 
 
 # ------------------------------------------------------------------- private
+
+
+class _Shots:
+    """The settings of each shot: files whose names differ by their number alone are one."""
+
+    def __init__(self, jobs: Sequence[Job], settings: Settings) -> None:
+        self._first: dict[object, Job] = {}
+        for job in sorted(jobs, key=lambda job: job.number or 0):
+            self._first.setdefault(_shot(job), job)
+        self._settings = settings
+        self._suited: dict[object, Settings] = {}
+
+    def settings(self, job: Job, loaded: Loaded) -> Settings:
+        """Those for a frame, by the first frame of its shot or, if that is damaged, by itself."""
+        shot = _shot(job)
+        if self._settings.model == "auto" and shot not in self._suited:
+            first = self._first[shot]
+            try:
+                seen = loaded if first is job else load(first.source, self._settings, first.number)
+                self._suited[shot] = self._by(seen)
+            except LambentError:  # of the first frame; it is reported where that one is cleaned
+                self._suited[shot] = self._by(loaded)
+        return self._suited.get(shot, self._settings)
+
+    def _by(self, loaded: Loaded) -> Settings:
+        return self._settings.suited(loaded.views[view_with_beauty(loaded.views)])
+
+
+def _shot(job: Job) -> tuple[Path, str, str]:
+    """What the names of a shot's frames have in common; a name without a number is its own."""
+    number = re.search(r"\d+(?=\D*$)", job.source.stem)
+    begin, end = number.span() if number else (0, 0)
+    return job.source.parent, job.source.stem[:begin], job.source.name[end:]
 
 
 class _Line:

@@ -222,6 +222,8 @@ def choose_passes(frame: Frame, passes: str | Iterable[str] = "all") -> list[Lay
 DENOISERS = Registry(
     "model",
     {
+        "auto": "lambent.denoise.auto:Auto",
+        "lambent-oidn": "lambent.denoise.mean:Mean",
         "lambent": "lambent.denoise.learned:Lambent",
         "lambent-fast": "lambent.denoise.learned:LambentFast",
         "lambent-best": "lambent.denoise.learned:LambentBest",
@@ -256,7 +258,7 @@ DENOISERS = Registry(
 FARTHEST = 256
 
 #: What `lambent denoise` takes unless told otherwise.
-DEFAULT_MODEL = "lambent"
+DEFAULT_MODEL = "auto"
 
 
 def parameters(model: str) -> dict[str, tuple[Any, Any]]:

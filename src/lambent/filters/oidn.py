@@ -47,7 +47,7 @@ import numpy as np
 
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.sums import Term, find_sums, has_negative_light, keep_sums, terms
+from lambent.filters.sums import FrameSums, has_negative_light, keep_sums, lighting_among
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space
@@ -81,7 +81,7 @@ class _Whole:
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
         self._looks: dict[str, _Look] = {}
-        self._sums: dict[tuple[str, ...], list[tuple[Term, ...]]] = {}
+        self.sums = FrameSums(frame)
 
     def look(self, layer: Layer) -> _Look:
         """The facts of the whole layer of that name, exposure included."""
@@ -91,16 +91,6 @@ class _Whole:
                 return _look(layer.data)
             self._looks[layer.name] = _look(found[0].data, exposed=True)
         return self._looks[layer.name]
-
-    def sums(self, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:
-        """The sums among these layers (the beauty first) over the whole frame."""
-        names = tuple(layer.name for layer in layers)
-        if names not in self._sums:
-            by_name = {layer.name: layer for layer in self.frame.all_layers()}
-            if not all(name in by_name for name in names):
-                return _sums_of(self.frame, layers)
-            self._sums[names] = _sums_of(self.frame, [by_name[name] for name in names])
-        return self._sums[names]
 
 
 @dataclass(frozen=True)
@@ -183,21 +173,12 @@ class OIDN(Denoiser):
         for index, layer in enumerate(layers):
             watch = _Part(self._progress, index, len(layers)) if self._progress else None
             cleaned.append(self._clean(frame, layer, guides, watch))
-        lighting = [i for i, layer in enumerate(layers) if i and layer.role is not Role.ALPHA]
+        lighting = lighting_among(layers)
         if len(lighting) < 2:
             return cleaned
-        parts = [layers[0], *(layers[i] for i in lighting)]
-        whole = self._whole
-        sums = whole.sums(parts) if whole is not None else _sums_of(frame, parts)
-        if not sums:
-            return cleaned
-        # The factors were found on the whole frame; a tile needs its own part of them.
-        own = {t.layer: t for t in terms(parts[1:], frame.all_layers())}
-        here = [
-            tuple(dataclasses.replace(own[t.layer], signed=t.signed) for t in members)
-            for members in sums
-        ]
-        kept = keep_sums(cleaned[0], [cleaned[i] for i in lighting], here)
+        whole = self._whole.sums if self._whole is not None else FrameSums(frame)
+        sums = whole.among(frame, [layers[0], *(layers[i] for i in lighting)])
+        kept = keep_sums(cleaned[0], [cleaned[i] for i in lighting], sums)
         for i, image in zip(lighting, kept, strict=True):
             cleaned[i] = image
         return cleaned
@@ -386,14 +367,3 @@ class _Part:
 
     def __call__(self, done: float) -> object:
         return self._progress((self._index + done) / self._count)
-
-
-def _sums_of(frame: Frame, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:
-    """The sums among ``layers[1:]`` that give ``layers[0]``, all of linear radiance."""
-    lighting = layers[1:]
-    summands = [
-        t
-        for t in terms(lighting, frame.all_layers())
-        if lighting[t.layer].space is not Space.SRGB and layers[0].space is not Space.SRGB
-    ]
-    return find_sums(layers[0].data, [layer.data for layer in lighting], summands)

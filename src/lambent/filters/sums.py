@@ -1,6 +1,6 @@
 """Lighting layers that add up to the beauty: finding them, and keeping the sum.
 
-A linear filter keeps every such sum by itself. For a filter that is not linear (OIDN) the sums of
+A linear filter keeps every such sum by itself. For one that is not linear (OIDN) the sums of
 the input are found here by looking at the pixels, not at names: direct + indirect, diffuse +
 specular, light groups, whatever a renderer wrote. Layers may enter with a factor image: Cycles
 writes light divided by the surface's colour, so that its beauty is Σ colour·(direct + indirect) +
@@ -9,14 +9,17 @@ emission + environment. A layer may subtract.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.repair import NEGATIVE_SHARE
+from lambent.frame.role import Role, Space
 
 #: A sum is one where it misses the beauty by less than this share of it: halves of beauty, layer
 #: and factor round by 2^-11 each.
@@ -96,6 +99,37 @@ def find_sums(
     return sums
 
 
+class FrameSums:
+    """The sums among the layers of a frame, looked for once and kept while tiles are filtered."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._frame = frame
+        self._sums: dict[tuple[str, ...], list[tuple[Term, ...]]] = {}
+
+    def among(self, piece: Frame, parts: Sequence[Layer]) -> list[tuple[Term, ...]]:
+        """The sums of ``parts[1:]`` that give ``parts[0]``, their factors cut as ``piece`` is.
+
+        ``piece``: the frame itself or a tile of it, ``parts``: layers of that piece. Layers that
+        the frame does not have are judged by the piece alone.
+        """
+        names = tuple(layer.name for layer in parts)
+        if names not in self._sums:
+            by_name = {layer.name: layer for layer in self._frame.all_layers()}
+            if not all(name in by_name for name in names):
+                return _sums_of(piece, parts)
+            self._sums[names] = _sums_of(self._frame, [by_name[name] for name in names])
+        own = {t.layer: t for t in terms(parts[1:], piece.all_layers())}
+        return [
+            tuple(dataclasses.replace(own[t.layer], signed=t.signed) for t in members)
+            for members in self._sums[names]
+        ]
+
+
+def lighting_among(layers: Sequence[Layer]) -> list[int]:
+    """Indices of the lighting layers in a list that begins with the beauty and may hold alpha."""
+    return [i for i, layer in enumerate(layers) if i and layer.role is not Role.ALPHA]
+
+
 def keep_sums(
     beauty: FloatImage, images: Sequence[FloatImage], sums: Sequence[tuple[Term, ...]]
 ) -> list[FloatImage]:
@@ -139,6 +173,17 @@ def keep_sums(
 
 
 # ------------------------------------------------------------------- private
+
+
+def _sums_of(frame: Frame, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:
+    """The sums among ``layers[1:]`` that give ``layers[0]``, all of linear radiance."""
+    lighting = layers[1:]
+    summands = [
+        t
+        for t in terms(lighting, frame.all_layers())
+        if lighting[t.layer].space is not Space.SRGB and layers[0].space is not Space.SRGB
+    ]
+    return find_sums(layers[0].data, [layer.data for layer in lighting], summands)
 
 
 def _samples(images: Sequence[FloatImage]) -> NDArray[np.intp]:

@@ -39,6 +39,9 @@ from lambent.frame.tonemap import luminance
 TILE = 16
 ENOUGH = 20
 SHARE = 0.3
+#: Neighbours of splatted pixel filters correlate by more (tent: 0.25, box in scenes: < 0.1), those
+#: of images without independent noise (denoised, photographs, enlarged) by still more.
+SPLATTED, SMOOTH = 0.16, 0.6
 #: Tiles with a smaller deviation of the logarithm hold no noise to judge by.
 QUIET = 2e-3
 
@@ -62,6 +65,11 @@ class Noise:
         if self.across is None or self.down is None:
             return None
         return 0.5 * (self.across + self.down)
+
+    @property
+    def splatted(self) -> bool:
+        """Whether neighbours share noise as a splatted pixel filter makes them."""
+        return self.correlation is not None and SPLATTED <= self.correlation < SMOOTH
 
 
 def noise_of(frame: Frame) -> Noise:

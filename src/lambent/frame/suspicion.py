@@ -15,13 +15,10 @@ import numpy as np
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.misses import miss_mask
-from lambent.frame.noise import Noise, noise_in, noise_of
+from lambent.frame.noise import SMOOTH, SPLATTED, Noise, noise_in, noise_of
 from lambent.frame.repair import HALF_MAX, decoded_normals
 from lambent.frame.role import Role, Stat
 
-#: Neighbours of splatted pixel filters correlate by more (tent: 0.25, box in scenes: < 0.1), those
-#: of images without independent noise (denoised, photographs, enlarged) by still more.
-SPLATTED, SMOOTH = 0.16, 0.6
 #: Compressions that lose values.
 LOSSY = ("b44", "b44a", "dwaa", "dwab", "pxr24")
 
@@ -79,15 +76,14 @@ def all_black(frame: Frame, noise: Noise | None) -> Suspicion | None:
 
 def splatted_filter(frame: Frame, noise: Noise | None) -> Suspicion | None:
     """Noise that neighbours share."""
-    rho = None if noise is None else noise.correlation
-    if rho is None or not SPLATTED <= rho < SMOOTH or _eight_bit(frame):
+    if noise is None or not noise.splatted or _eight_bit(frame):
         return None  # photographs are smooth; that they are 8-bit images is said elsewhere
     return Suspicion(
         "splatted pixel filter",
         "warning",
         frame.layers[Role.COLOUR, Stat.MEAN].name,
-        f"The noise of neighbouring pixels correlates by {rho:.2f} (white noise: 0, a splatted "
-        "tent filter: 0.25), so that every denoiser takes part of it for texture.",
+        f"The noise of neighbouring pixels correlates by {noise.correlation:.2f} (white noise: 0, "
+        "a splatted tent filter: 0.25), so that every denoiser takes part of it for texture.",
         "Render with a box filter of one pixel, or with filter importance sampling; blur the "
         "clean picture afterwards if the wider filter is wanted.",
     )
