@@ -529,8 +529,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--only", default=",".join(FULL), help="kinds, with commas")
     parser.add_argument("--number", type=int, help="only the try of this number")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--limit", type=float, default=120.0, help="seconds for a file; a command's "
-                        "limit is ten times as long")  # fmt: skip
+    parser.add_argument("--limit", type=float, default=120.0, help="seconds for a file; "
+                        "a command's limit is ten times as long")  # fmt: skip
     parser.add_argument("--memory", type=float, default=8.0, help="GiB of address space a process")
     parser.add_argument("--keep", type=Path, help="a folder for the files that failed")
     given = parser.parse_args(arguments)

@@ -2,9 +2,9 @@
 
 A renderer that splats samples with a wide pixel filter makes noise that neighbouring pixels share.
 Open Image Denoise takes it for texture; Lambent's network knows it. Everywhere else the mean of
-both has the least error (docs/notes/denoiser.md). So a frame with such noise (`frame.noise`) is given to
-`lambent`, any other to `lambent-oidn`. Photographs, whose neighbours are alike by nature, go to
-`oidn`, which is ahead where grain is weak (docs/guides/photographs.md); strong grain is for `dncnn`, which
+both has the least error (docs/notes/denoiser.md). So a frame with such noise (`frame.noise`) gets
+`lambent`, any other `lambent-oidn`. Photographs, whose neighbours are alike by nature, get `oidn`,
+which is ahead where grain is weak (docs/guides/photographs.md); strong grain is for `dncnn`, which
 nothing here chooses. Where Open Image Denoise is not installed it is always `lambent`.
 The choice is one for all views of a file and all frames of a shot.
 """
@@ -66,6 +66,7 @@ class Auto(Denoiser):
         name="auto",
         title="The best one for the file at hand: lambent, lambent-oidn or oidn",
         paper="",
+        group="work",
         uses=Lambent.about.uses,
         cost="that of the model it takes",
         when="always, unless you know better",

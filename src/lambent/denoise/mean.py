@@ -46,6 +46,7 @@ class Mean(Denoiser):
         name="lambent-oidn",
         title="The mean of Open Image Denoise and lambent",
         paper="",
+        group="work",
         uses=Lambent.about.uses,
         cost="both networks, 223 kMAC a pixel, once for all layers",
         when="pixel filters that are not splatted; what `auto` takes for them",
