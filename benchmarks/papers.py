@@ -127,10 +127,10 @@ def int8(data: Path, cache: Path, levels: list[int]) -> str:
     from lambent.filters.denoiser import create
     from lambent.frame.files import read
     from lambent.learn.export import export_run
-    from lambent.learn.loop import Run
     from lambent.learn.recipe import train_recipe_from
     from lambent.learn.tasks import TASKS
     from lambent.startup import cache_folder
+    from lambent.training.run import Run
 
     lines = []
     with TemporaryDirectory() as folder:

@@ -6,7 +6,8 @@ Crops are noise of the right shape (time does not depend on what is in them), on
 `learn.resident` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
 tap by tap, forwards and backwards, and both are timed. "issued": until the processor had asked for
 everything; where that is nearly all of the time, the device waits for the processor. "recorded": as
-`lambent train` does it on CUDA, the step a CUDA graph (`learn.graphed`), several batches at once.
+`lambent train` does it on CUDA, the step a CUDA graph (`training.graphed`), several batches at
+once.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from filters import machine, markdown_table
 from lambent.learn import losses
 from lambent.learn.cache import PLANES_OF, STORED, TARGET_PLANES, Cached
 from lambent.learn.denoising import TOGETHER, Batch, cleaned
-from lambent.learn.graphed import Graphed
 from lambent.learn.networks import kernel_pyramid
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.resident import Residents, batch_of
+from lambent.training.graphed import Graphed
 
 
 def stills(folder: Path, count: int = 8) -> list[Cached]:

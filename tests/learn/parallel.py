@@ -9,8 +9,8 @@ import made
 import torch
 
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.loop import train
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.train import train_task as train
 
 if __name__ == "__main__":
     torch.set_num_threads(1)

@@ -7,9 +7,9 @@ from made import few_threads  # noqa: F401
 
 from lambent.learn import resident
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import RecordableTask
+from lambent.training.graphed import Graphed
+from lambent.training.task import RecordableTask
 
 
 @pytest.fixture
@@ -33,12 +33,12 @@ def eager(task, model, tensors):
 
 
 def test_what_is_recorded_is_the_loss_of_the_loop(task):
-    made_here, device = task("cpu"), torch.device("cpu")
+    made_here = task("cpu")
     assert isinstance(made_here, RecordableTask)
     model = made_here.network()
-    loss, terms = made_here.loss(model, (0, 0, 2), device)
+    loss, terms = made_here.loss(model, (0, 0, 2))
     loss.backward()
-    tensors = made_here.tensors((0, 0, 2), device)
+    tensors = made_here.tensors((0, 0, 2))
     found, parts, grads = Graphed(model, made_here.loss_of)._step(tensors)
     assert torch.equal(found, loss.detach())
     assert parts.keys() == terms.keys()

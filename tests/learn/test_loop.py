@@ -18,9 +18,9 @@ from lambent.learn import losses
 from lambent.learn.augment import Example
 from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, DenoisingTask
-from lambent.learn.loop import schedule, train
 from lambent.learn.networks.lambent import LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.train import train_task as train
 
 RECIPE = TrainRecipe(
     name="test", size="fast", steps=6, batch=2, warmup=2, check_every=6, checked=4, held_out=0.0
@@ -150,19 +150,9 @@ def test_the_run_folder_says_what_was_done(task, tmp_path):
     assert len(list((run.folder / "pictures").glob("*.png"))) == 3  # one a level
 
 
-def test_the_rate_rises_and_falls():
-    recipe = TrainRecipe(name="x", steps=100, warmup=10, last_rate=0.01)
-    rates = [schedule(recipe, step) for step in range(100)]
-    assert rates[0] == pytest.approx(0.1)
-    assert max(rates) == pytest.approx(1.0)
-    assert rates[10:] == sorted(rates[10:], reverse=True)
-    assert rates[-1] == pytest.approx(0.01, abs=2e-3)
-    assert schedule(recipe, 50, 1.0) == pytest.approx(0.01)
-
-
 def test_a_run_by_the_clock_is_not_bounded_by_steps(task, tmp_path, monkeypatch):
     now = iter(range(100_000))
-    monkeypatch.setattr("lambent.learn.loop.time.monotonic", lambda: float(next(now)))
+    monkeypatch.setattr("lambent.training.loop.time.monotonic", lambda: float(next(now)))
     recipe = replace(RECIPE, steps=2, check_every=1000)
     said = []
     run = train(

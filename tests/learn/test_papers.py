@@ -19,9 +19,10 @@ from lambent.frame.role import Role
 from lambent.learn import photo, rendered
 from lambent.learn.augment import Example
 from lambent.learn.export import export_run
-from lambent.learn.loop import Run, train
 from lambent.learn.networks import blocks, dncnn, kernels, kpcn, modular
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.train import train_task as train
+from lambent.training.run import Run
 
 LEAN = {
     "kpcn": {"width": 8, "hidden": 2, "kernel": 5, "patch": 32},
@@ -246,7 +247,7 @@ def test_a_network_learns_one_crop_by_heart(name, tmp_path):
     adam = torch.optim.Adam(model.parameters(), 3e-3)
     found = []
     for _ in range(60):
-        loss, _ = task.loss(model, (recipe.steps, crops), torch.device("cpu"))
+        loss, _ = task.loss(model, (recipe.steps, crops))
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -269,7 +270,7 @@ def test_parts_learn_alone_and_then_together(tmp_path):
     crops = [task.crop(0, 0)]
     model = task.network()
     for step, names in ((0, {"diffuse", "specular"}), (5, {"colour"})):
-        _, terms = task.loss(model, (step, crops), torch.device("cpu"))
+        _, terms = task.loss(model, (step, crops))
         assert set(terms) == names
 
 
@@ -321,7 +322,7 @@ def test_openvino_and_pytorch_agree(name, size, tmp_path):
         )
         zeros = np.zeros((6, *padded.colour.shape[1:]), np.float32)
         example = Example(padded, zeros, zeros[:1])
-    by_torch = task.clean(model, example, torch.device("cpu"))[:, : size[0], : size[1]] / factor
+    by_torch = task.clean(model, example)[:, : size[0], : size[1]] / factor
     np.testing.assert_allclose(ours, by_torch.transpose(1, 2, 0), rtol=1e-4, atol=1e-4)
 
 
@@ -532,7 +533,7 @@ def test_dncnn_learns_to_take_noise_off():
     batches = task.batches(0, 0, 1)
     losses = []
     for _ in range(80):
-        loss, _ = task.loss(model, next(batches), torch.device("cpu"))
+        loss, _ = task.loss(model, next(batches))
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -546,7 +547,7 @@ def test_dncnn_learns_to_take_noise_off():
     )
     assert float(dncnn.loss(noisy, clean)) == pytest.approx(untouched, rel=0.1)
     assert np.mean(losses[-10:]) < 0.6 * untouched
-    scores, shown = task.score(model.eval(), torch.device("cpu"))
+    scores, shown = task.score(model.eval())
     untouched = -20 * np.log10(50 / 255)
     assert scores["psnr 50"] > untouched + 3
     assert scores["score"] == pytest.approx(255 * 10 ** (-scores["psnr 50"] / 20))

@@ -17,9 +17,9 @@ from lambent.learn import augment, changes, denoising, lamps, resident, splat
 from lambent.learn.augment import Example, merged
 from lambent.learn.batches import ready
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.loop import train
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.rows import AT, NAMES, PLANES, Rows
+from lambent.learn.train import train_task as train
 
 CPU = torch.device("cpu")
 
@@ -351,7 +351,7 @@ def test_batches_of_one_draw_are_its_parts(stills, tmp_path, monkeypatch):
         assert batch == (step, 0, 2)
         whole = resident.batch_of(residents, recipe.seed, step // 3, 6)
         parts = [part.chunk(3)[step % 3] for part in whole]
-        found = task.tensors(batch, CPU)
+        found = task.tensors(batch)
         assert all(torch.equal(a, b) for a, b in zip(found, parts, strict=True))
 
 

@@ -18,8 +18,8 @@ from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
-    from lambent.learn.loop import Run
     from lambent.learn.recipe import TrainRecipe
+    from lambent.training.run import Run
 
 EPILOG = "Example: lambent train recipes/train/denoiser.toml --report training.html"
 
@@ -77,9 +77,9 @@ def train(
 
     try:
         from lambent.learn.finetune import finetune
-        from lambent.learn.loop import use_threads
         from lambent.learn.train import run_folder
         from lambent.learn.train import train as run_training
+        from lambent.training.process import use_threads
     except ImportError as error:
         stop_by_interrupt(error)
         if (error.name or "").split(".")[0] != "torch":
@@ -128,7 +128,7 @@ def train(
     if int(os.environ.get("RANK", 0)):  # by torchrun: the first process tells
         return
     page(done, running=False)
-    checks = [line for line in done.lines() if "check" in line]
+    checks = done.checks()
     best = min(checks, key=lambda line: line["check"]["score"]) if checks else None
     if as_json:
         print_json({"run": str(done.folder), "best": best, "output": output and str(output)})
@@ -150,7 +150,7 @@ def _write_page(path: Path, run: Run, recipe: TrainRecipe, running: bool) -> Non
     from lambent.report.training import write_training
 
     pictures = []
-    for file in sorted((run.folder / "pictures").glob("*.png")):
+    for file in sorted(run.pictures.glob("*.png")):
         data = file.read_bytes()
         pictures.append((data, Image.open(io.BytesIO(data)).size))
     write_training(path, recipe.name, run.lines(), pictures, steps=recipe.steps, running=running)

@@ -6,14 +6,8 @@ share a batch see together what one would have seen.
 
 from __future__ import annotations
 
-import functools
-import itertools
-import queue
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -23,8 +17,7 @@ from lambent.frame.layer import FloatImage
 from lambent.learn import lamps
 from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
 from lambent.learn.cache import Cached
-
-T = TypeVar("T")
+from lambent.training.ahead import ahead
 
 #: Share of the frames that get a splatted pixel filter.
 SPLATTED = 0.2
@@ -121,43 +114,7 @@ def ready(example: Example, preference: float, spp: float) -> Row:
 
 def batches(
     sampler: Sampler, seed: int, first: int, size: int, rank: int = 0, world: int = 1
-) -> Iterator[list[Row]]:
+) -> Generator[list[Row], None, None]:
     """The batches of step ``first`` and on; of each, the rows of process ``rank`` of ``world``."""
-    return ahead(lambda step, number: row(sampler, seed, step, number), first, size, rank, world)
-
-
-def ahead(
-    make: Callable[[int, int], T], first: int, size: int, rank: int = 0, world: int = 1
-) -> Iterator[list[T]]:
-    """Batches of the rows ``make(step, number)``, made ahead so that the network does not wait."""
-    waiting: queue.Queue[list[T] | BaseException] = queue.Queue(3)
-    over = threading.Event()
-
-    def put(thing: list[T] | BaseException) -> None:
-        while not over.is_set():
-            try:
-                return waiting.put(thing, timeout=0.2)
-            except queue.Full:
-                continue
-
-    def fill() -> None:
-        try:
-            with ThreadPoolExecutor(2) as pool:
-                for step in itertools.count(first):
-                    if over.is_set():
-                        return
-                    numbers = range(rank, size, world)
-                    put(list(pool.map(functools.partial(make, step), numbers)))
-        except BaseException as error:  # told to the one who waits
-            put(error)
-
-    thread = threading.Thread(target=fill, name="batches", daemon=True)
-    thread.start()
-    try:
-        while True:
-            found = waiting.get()
-            if isinstance(found, BaseException):
-                raise found
-            yield found
-    finally:
-        over.set()
+    numbers = range(rank, size, world)
+    return ahead(lambda step: [row(sampler, seed, step, n) for n in numbers], first)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,9 @@ from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.resident import Residents, batch_of
-from lambent.learn.task import Exportable, Pictures
+from lambent.learn.task import Exportable, ShippedTask
 from lambent.settings import record_from
+from lambent.training.task import Pictures, RecordableTask, Weights
 
 #: Subsets of layers that a network is scored with.
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
@@ -108,14 +109,14 @@ def denoising_task(
     return task
 
 
-class DenoisingTask:
-    """Learn to filter: `Task` for `LambentNet`. ``device``: where the loop computes.
+class DenoisingTask(RecordableTask, ShippedTask):
+    """Learn to filter: `Task` for `LambentNet`.
 
     Raises `OptionError` for a size that there is not, and for too few scenes.
     """
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
-        self.recipe, self.device = recipe, "cpu"
+        self.recipe = recipe
         self.options: Options = record_from(Options, dict(recipe.options))
         if recipe.size not in WIDTHS:
             raise OptionError(
@@ -137,7 +138,7 @@ class DenoisingTask:
             return RoundedNet(self.recipe.size)
         return LambentNet(self.recipe.size)
 
-    def started(self, weights: Mapping[str, Tensor] | None) -> Mapping[str, Tensor] | None:
+    def started(self, weights: Weights | None) -> Weights | None:
         """Weights to begin with: for int8, those of a float run with steps that fit the data.
 
         Raises `OptionError` where an int8 run has none.
@@ -156,9 +157,9 @@ class DenoisingTask:
     def _measured_on(self, model: RoundedNet) -> Tensor:
         """Packed inputs to begin the steps of int8 with, where they are quick to make."""
         count, seed = CALIBRATION // 2, self.recipe.seed + 1
-        if self.device == "cuda":
-            model.cuda()
-            self._residents = Residents(self.train.stills, torch.device("cuda"))
+        if self._on_cuda():
+            model.to(self.device)
+            self._residents = Residents(self.train.stills, torch.device(self.device))
             return batch_of(self._residents, seed, 0, count)[0]
         rows = [row(self.train, seed, 0, n).packed for n in range(count)]
         return torch.from_numpy(np.stack(rows))
@@ -173,33 +174,31 @@ class DenoisingTask:
         if self._follower is not None:
             self._follower.close()
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[Any]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[Any, None, None]:
         """This process's share of each batch: rows, or its number where batches are made later."""
         if not self._on_device():
             return batches(self.train, self.recipe.seed, first, self.recipe.batch, rank, world)
         return ((step, rank, self.recipe.batch // world) for step in itertools.count(first))
 
-    def loss(
-        self, model: nn.Module, batch: Any, device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
-        return self.loss_of(model, self.tensors(batch, device))
-
-    def tensors(self, batch: Any, device: torch.device) -> tuple[Tensor, ...]:
+    def tensors(self, batch: Any) -> tuple[Tensor, ...]:
         """A batch as the fields of a `Batch`, on the device."""
+        device = torch.device(self.device)
         b = Batch.of(batch, device) if isinstance(batch, list) else self._made(batch, device)
         return tuple(getattr(b, field.name) for field in fields(Batch))
 
     def loss_of(
         self, model: nn.Module, tensors: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of `tensors`: nothing in it asks the device for a number."""
+        """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
         b = Batch(*tensors)
         x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
 
+    def _on_cuda(self) -> bool:
+        return torch.device(self.device).type == "cuda"
+
     def _on_device(self) -> bool:
-        return self.options.resident or self.device == "cuda"
+        return self.options.resident or self._on_cuda()
 
     def _made(self, batch: tuple[int, int, int], device: torch.device) -> Batch:
         step, rank, size = batch
@@ -240,8 +239,7 @@ class DenoisingTask:
 
     # ------------------------------------------------------------- validation
 
-    @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 
         Where OIDN is not installed: to those of the noisy input.
@@ -249,6 +247,7 @@ class DenoisingTask:
         latter for few, some and many samples apart: a mean over all is that of the noisiest.
         ``lamps``: the share of their light that small lamps put into the crops keep.
         """
+        device = torch.device(self.device)
         if self._yardstick is None:
             self._yardstick = self._oidn()
         found: dict[str, float] = {}

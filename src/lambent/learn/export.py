@@ -27,9 +27,10 @@ from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.denoise.openvino import openvino, silent
 from lambent.errors import LambentError, OptionError
 from lambent.frame.layer import FloatImage
-from lambent.learn.loop import Run
+from lambent.learn.account import account, before
 from lambent.learn.networks.rounded import HIGHEST, RoundedNet, step_after
 from lambent.learn.task import Exportable, ShippedTask
+from lambent.training.run import Run
 
 
 def export(
@@ -98,7 +99,7 @@ def export_run(
     model = task.network()
     model.load_state_dict(run.weights())
     ready = task.exportable(model.eval())
-    told = run.told()
+    told = account(run)
     card = {
         **told,
         "score_says": task.says(told["score"]),
@@ -109,8 +110,8 @@ def export_run(
     }
     if failures := told["recipe"].pop("known_failures", None):
         card["known_failures"] = failures
-    if before := run.before():
-        card["begun_with"] = before
+    if earlier := before(run):
+        card["begun_with"] = earlier
     examples = task.calibration() if int8 else None
     export(ready.network, path, card, examples, overwrite, not int8, ready.examples)
     return card

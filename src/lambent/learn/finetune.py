@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,15 +38,17 @@ from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
 from lambent.learn import losses
 from lambent.learn.augment import Example, recoloured, turned
-from lambent.learn.batches import Row, ahead, ready
+from lambent.learn.batches import Row, ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
 from lambent.learn.held_out import TRIMMED
-from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
-from lambent.learn.recipe import TrainRecipe
 from lambent.metrics.relmse import EPSILON
+from lambent.training.ahead import ahead
+from lambent.training.loop import train
+from lambent.training.schedule import Schedule
+from lambent.training.task import Pictures, Task
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
 CROP = 128
@@ -121,17 +123,17 @@ def finetune(
         pairs, size, int8="steps.input" in weights, tell_after=DECIDED * seconds,
         tell_from=round(DECIDED * most / CHECK_EVERY),
     )  # fmt: skip
-    recipe = TrainRecipe(
-        name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
-        decay=0.99, check_every=CHECK_EVERY, steps=1 << 20, last_rate=0.05,
+    schedule = Schedule(
+        steps=1 << 20, rate=CAREFUL if task.noisy else RATE, warmup=20, decay=0.99,
+        check_every=CHECK_EVERY, last_rate=0.05,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         run = train(
-            recipe, task, Path(folder) / "run", device, start=weights,
+            schedule, task, Path(folder) / "finetuned", device, start=weights,
             seconds=max(1.0, seconds - (time.monotonic() - began) - min(LAST, 0.1 * seconds)),
             steps=most, check_first=True, progress=_timed(progress, seconds, began),
         )  # fmt: skip
-        checks = [line for line in run.lines() if "check" in line]
+        checks = run.checks()
         scores = [line["check"]["score"] for line in checks]
         held_out = scores[: task.told_at]
         # later ones are of tiles that have been learned from: better says little, worse is worse
@@ -189,8 +191,8 @@ def pairs_of(path: Path) -> list[Pair]:
     ]
 
 
-class FinetuneTask:
-    """Crops of a few frames: a `learn.task.Task`.
+class FinetuneTask(Task):
+    """Crops of a few frames: a `training.task.Task`.
 
     ``tell_after``, ``tell_from``: seconds or scores after which held-out tiles may be learned from,
     once the scores are `settled`; not of noisy targets. ``told_at``: how many scores there were by
@@ -239,9 +241,9 @@ class FinetuneTask:
                 parameter.requires_grad = name.split(".")[0] in FIRST
         return model
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[list[Row], None, None]:
         """Crops from anywhere; of held-out tiles the target is not told, until `told_at`."""
-        return ahead(self.row, first, BATCH, rank, world)
+        return ahead(lambda step: [self.row(step, n) for n in range(rank, BATCH, world)], first)
 
     def row(self, step: int, number: int) -> Row:
         """Row ``number`` of the batch of ``step``."""
@@ -259,14 +261,13 @@ class FinetuneTask:
         made = ready(example, 0.0, float(pair.noisy.spp or 0))
         return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
 
-    def loss(
-        self, model: nn.Module, batch: list[Row], device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, model: nn.Module, batch: list[Row]) -> tuple[Tensor, dict[str, Tensor]]:
         """The squared error, which is what frames are judged by, and a little of the logarithm.
 
         Relative to the reference; to the output where targets are halves. The loss of training
         moved well-trained weights away from it.
         """
+        device = torch.device(self.device)
         b = Batch.of(batch, device)
         x = cleaned(model, b)
         target = torch.where(torch.isnan(b.target), x.detach(), b.target)  # held out: no error
@@ -276,8 +277,7 @@ class FinetuneTask:
         square = losses.relative_square(x, target, b.deviation, epsilon).mean()
         return SQUARE * square + LOGARITHM * losses.logarithmic(x, target).mean(), {}
 
-    @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Mean trimmed relMSE on the held-out tiles.
 
         Of halves: the error against them, all pixels, and the standard error of how it changed.
@@ -285,7 +285,10 @@ class FinetuneTask:
         outputs = []
         for n, y, x in self._held:
             pair = self.pairs[n]
-            b = Batch.of([ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))], device)
+            b = Batch.of(
+                [ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))],
+                torch.device(self.device),
+            )
             outputs.append((pair, cleaned(model, b), b.target))
         if not self._first:
             self._first = [out for _, out, _ in outputs]

@@ -8,7 +8,7 @@ targets are made into photographs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,14 @@ from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.tonemap import inverse_srgb, srgb
-from lambent.learn.batches import ahead
 from lambent.learn.cache import cached
 from lambent.learn.held_out import is_held_out
 from lambent.learn.networks import dncnn
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Exportable, Pictures
+from lambent.learn.task import Exportable, ShippedTask
 from lambent.settings import record_from
+from lambent.training.ahead import ahead
+from lambent.training.task import Pictures
 
 #: Noise levels, in 255ths, that a blind model is validated at.
 CHECKED = (15.0, 25.0, 50.0)
@@ -104,7 +105,7 @@ def photo_task(
     return PhotoTask(recipe, pictures)
 
 
-class PhotoTask:
+class PhotoTask(ShippedTask):
     """Learn to take Gaussian noise off photographs: `Task` for `DnCNN`.
 
     Some are held out, by their names, so that crops of one scene are all on one side.
@@ -134,9 +135,10 @@ class PhotoTask:
         channels = 3 if o.colour else 1
         return dncnn.DnCNN(channels, o.depth, o.width, o.norm, o.residual, o.small_start)
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Patch]]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[list[Patch], None, None]:
         """Patches of this process's share of each batch."""
-        return ahead(self.patch, first, self.recipe.batch, rank, world)
+        numbers = range(rank, self.recipe.batch, world)
+        return ahead(lambda step: [self.patch(step, n) for n in numbers], first)
 
     def patch(self, step: int, number: int) -> Patch:
         """Patch ``number`` of the batch of ``step``."""
@@ -154,22 +156,19 @@ class PhotoTask:
             noise = np.repeat(noise[:1], 3, axis=0)
         return Patch(clean + noise, clean)
 
-    def loss(
-        self, model: nn.Module, batch: list[Patch], device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, model: nn.Module, batch: list[Patch]) -> tuple[Tensor, dict[str, Tensor]]:
         """Half the squared error of a patch; the convolutions in bf16."""
         noisy, clean = (
             torch.from_numpy(np.stack([getattr(p, name) for p in batch]))
-            .to(device)
+            .to(self.device)
             .to(memory_format=torch.channels_last)
             for name in ("noisy", "clean")
         )
-        with torch.autocast(device.type, torch.bfloat16):
+        with torch.autocast(noisy.device.type, torch.bfloat16):
             found = model(noisy)
         return dncnn.loss(found, clean), {}
 
-    @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """PSNR in dB on the held-out pictures, in float32.
 
         ``score``: their mean as a root-mean-square error in 255ths.
@@ -185,7 +184,7 @@ class PhotoTask:
                 rng = np.random.default_rng((7, number, int(sigma)))
                 noisy = clean + rng.standard_normal(clean.shape, np.float32) * (sigma / 255)
                 noisy = noisy.astype(np.float32)
-                x = model(torch.from_numpy(noisy[None]).to(device))[0].float().cpu().numpy()
+                x = model(torch.from_numpy(noisy[None]).to(self.device))[0].float().cpu().numpy()
                 values.append(psnr(x, clean))
                 if number < 3:
                     row = np.concatenate([noisy, x, clean], 2).transpose(1, 2, 0)

@@ -7,7 +7,7 @@ what its loss is (`RenderedNetwork`). What they may look at is in `denoise.lobes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -21,13 +21,15 @@ from lambent.denoise.lobes import parts_of, whole_of
 from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn.augment import Example, turned
-from lambent.learn.batches import Sampler, ahead
+from lambent.learn.batches import Sampler
 from lambent.learn.cache import Cached, stills_of
 from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Exportable, Pictures
+from lambent.learn.task import Exportable, ShippedTask
 from lambent.registry import Registry
 from lambent.settings import Range, record_from
+from lambent.training.ahead import ahead
+from lambent.training.task import Pictures, Weights
 
 #: Networks that learn from rendered crops, by the ``task`` of their recipes.
 NETWORKS = Registry(
@@ -154,7 +156,7 @@ def rendered_task(
     return RenderedTask(recipe, stills_of(recipe, place, progress))
 
 
-class RenderedTask:
+class RenderedTask(ShippedTask):
     """Learn to clean renders: `Task` for a network of `NETWORKS`, the one named by the recipe.
 
     Raises `OptionError` for options that make no sense and for too few scenes.
@@ -190,7 +192,7 @@ class RenderedTask:
         assert isinstance(found, nn.Module)
         return found
 
-    def started(self, weights: Mapping[str, Tensor] | None) -> dict[str, Tensor] | None:
+    def started(self, weights: Weights | None) -> Weights | None:
         """All weights to begin with, from those of another run or model; None: fresh ones.
 
         Raises `OptionError` for a network of which a part is frozen and has to come from there.
@@ -205,11 +207,12 @@ class RenderedTask:
             return None
         return own.started(weights) if hasattr(own, "started") else dict(weights)
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[tuple[int, list[Crop]]]:
+    def batches(
+        self, first: int, rank: int, world: int
+    ) -> Generator[tuple[int, list[Crop]], None, None]:
         """Steps with the crops of this process's share."""
-        rows = ahead(self.crop, first, self.recipe.batch, rank, world)
-        for number, crops in enumerate(rows):
-            yield first + number, crops
+        numbers = range(rank, self.recipe.batch, world)
+        return ahead(lambda step: (step, [self.crop(step, n) for n in numbers]), first)
 
     def crop(self, step: int, number: int) -> Crop:
         """Crop ``number`` of the batch of ``step``."""
@@ -222,10 +225,11 @@ class RenderedTask:
         return ready(example, preference)
 
     def loss(
-        self, model: nn.Module, batch: tuple[int, list[Crop]], device: torch.device
+        self, model: nn.Module, batch: tuple[int, list[Crop]]
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The network's own loss; its convolutions in bf16, what filters in float32."""
         step, crops = batch
+        device = torch.device(self.device)
         b = RenderedBatch.of(crops, device, step / self.recipe.steps)
         own: Any = getattr(model, "module", model)
         with torch.autocast(device.type, torch.bfloat16):
@@ -234,14 +238,13 @@ class RenderedTask:
         return sum(terms.values()), terms
 
     @torch.no_grad()
-    def clean(self, model: Any, example: Example, device: torch.device) -> FloatImage:
+    def clean(self, model: Any, example: Example) -> FloatImage:
         """What a network makes of an example ``(3, H, W)``, in float32."""
-        b = RenderedBatch.of([ready(example)], device)
+        b = RenderedBatch.of([ready(example)], torch.device(self.device))
         found: FloatImage = model.cleaned(model(*model.inputs(b)), b)[0].float().cpu().numpy()
         return found
 
-    @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Trimmed relMSE and SMAPE on held-out crops, and as ratios to OIDN High's.
 
         ``score``: the geometric mean of both ratios.
@@ -251,7 +254,7 @@ class RenderedTask:
         errors = []
         pictures: dict[str, FloatImage] = {}
         for example, spp in self.checked:
-            x = self.clean(model, example, device)
+            x = self.clean(model, example)
             errors.append(errors_of(x, example))
             if len(pictures) < 8:
                 row = np.concatenate([example.noisy.colour, x, example.target[:3]], 2)
