@@ -68,7 +68,7 @@ def test_half_buffers_suffice(tmp_path):
         rtol=1e-3,
     )
     task = FinetuneTask(pairs, "fast")
-    batch = [task.row(0, n) for n in range(2)]
+    batch = task.made(0, range(2))
     loss, _ = task.loss(LambentNet("fast"), batch)
     assert float(loss.detach()) > 0
 
@@ -116,12 +116,12 @@ def test_epsilon_is_a_radiance_of_the_frame(shots):
     factor = float(pair.noisy.colour.mean() / frame.colour.mean())
     assert pair.epsilon == pytest.approx(0.01 * factor**2, rel=1e-3)
     task = FinetuneTask([pair], "fast")
-    row = task.row(0, 0)  # at another exposure
-    gain = np.nanmean(row.target) / pair.target.mean()
-    assert 0.3 < row.epsilon / (pair.epsilon * gain**2) < 3
+    row = task.made(0, [0])  # at another exposure
+    gain = float(row.inputs.target.nanmean()) / pair.target.mean()
+    assert 0.3 < float(row.epsilon) / (pair.epsilon * gain**2) < 3
     black = dataclasses.replace(pair, target=0 * pair.target)
-    row = FinetuneTask([black], "fast").row(0, 0)
-    assert row.epsilon == pair.epsilon
+    row = FinetuneTask([black], "fast").made(0, [0])
+    assert float(row.epsilon) == pytest.approx(pair.epsilon)
 
 
 def test_little_data_frees_the_first_layers_only(shots):
@@ -142,13 +142,13 @@ def test_what_is_held_out_is_not_told(shots):
     model = LambentNet("fast")
     shares = []
     for n in range(12):
-        row = task.row(0, n)
-        np.testing.assert_array_equal(row.target, first.row(0, n).target)
-        shares.append(np.isnan(row.target).mean())
-        assert np.isfinite(row.epsilon)
-        assert np.isfinite(row.packed).all()
+        row, other = task.made(0, [n]), first.made(0, [n])
+        np.testing.assert_array_equal(row.inputs.target, other.inputs.target)
+        shares.append(float(row.inputs.target.isnan().float().mean()))
+        assert torch.isfinite(row.epsilon).all()
+        assert torch.isfinite(row.inputs.packed).all()
     assert 0 < np.mean(shares) < 0.6
-    losses = [t.loss(model, [t.row(0, n) for n in (6, 9)])[0] for t in (first, task)]
+    losses = [t.loss(model, t.made(0, (6, 9)))[0] for t in (first, task)]
     assert float(losses[0].detach()) == float(losses[1].detach()) > 0
     losses[1].backward()
     assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
@@ -183,7 +183,7 @@ def test_held_out_tiles_are_told_once_the_model_is_better_on_them(shots):
         scores = [task.score(model)[0]["score"] for model in models]
         assert (scores[0] > scores[1]) == (models[0] is noisy)
         assert task.told_at == told
-        hidden = [np.isnan(task.row(0, n).target).any() for n in range(12)]
+        hidden = [bool(task.made(0, [n]).inputs.target.isnan().any()) for n in range(12)]
         assert any(hidden) == (told is None)
 
 

@@ -50,12 +50,12 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
     monkeypatch.setattr("lambent.learn.denoising.LOOK_EVERY", 0.0)
     recipe = TrainRecipe(
         name="follows", size="fast", steps=2, batch=2, warmup=1, check_every=100, checked=2,
-        held_out=0.0, data=(str(data),), options={"follow": True, "resident": True},
+        held_out=0.0, data=(str(data),), options={"follow": True},
     )  # fmt: skip
     place = tmp_path / "cache"
     task = denoising_task(recipe, place)
     try:
-        assert len(task.train.stills) == 2
+        assert len(task.stills) == 2
         train(recipe, task, tmp_path / "run", "cpu", steps=1)
         add(data, 2)
         deadline = time.monotonic() + 120
@@ -63,7 +63,7 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
             assert time.monotonic() < deadline, "nobody unpacks"
             time.sleep(0.2)
         train(recipe, task, tmp_path / "run", "cpu", steps=2)
-        assert len(task._residents) == 3
+        assert len(task.stills) == 3
     finally:
         task.close()
     assert not any(process.is_alive() for process in task._follower._processes)

@@ -15,11 +15,11 @@ from made import few_threads  # noqa: F401
 
 from lambent.errors import DamagedFileError, FileError, OptionError
 from lambent.learn import losses
-from lambent.learn.augment import Example
 from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, DenoisingTask
 from lambent.learn.networks.lambent import LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import Example, rows_of
 from lambent.learn.train import train_task as train
 
 RECIPE = TrainRecipe(
@@ -93,11 +93,12 @@ def test_two_processes_are_one(tmp_path):
 
 def test_it_overfits_one_crop():
     still = made.still(0)
-    from lambent.denoise.inputs import signals_of
+    from lambent.denoise.inputs import MASKS, signals_of
 
     target = still.target.colour.transpose(2, 0, 1)
     example = Example(signals_of(still.levels[0]), target, np.zeros((1, 64, 64), np.float32))
-    batch = Batch.of([ready(example, 0.0, 1.0)], torch.device("cpu"))
+    rows = rows_of([example])
+    batch = Batch.of(*ready(rows, torch.ones(1, len(MASKS)), rows.spp, torch.zeros(1)))
     torch.manual_seed(0)
     model = LambentNet("fast")
     adam = torch.optim.Adam(model.parameters(), 2e-3)

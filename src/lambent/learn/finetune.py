@@ -27,7 +27,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lambent.denoise.inputs import Signals, signals_of
+from lambent.denoise.inputs import MASKS, Signals, signals_of
 from lambent.denoise.model_file import find_model, read_model
 from lambent.denoise.samples import seeming_samples
 from lambent.errors import LayerError, OptionError
@@ -36,14 +36,14 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
-from lambent.learn import losses
-from lambent.learn.augment import Example, recoloured, turned
-from lambent.learn.batches import Row, ready
+from lambent.learn import changes, losses
+from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
 from lambent.learn.held_out import TRIMMED
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
+from lambent.learn.rows import Example, Rows, generator, rows_of
 from lambent.metrics.relmse import EPSILON
 from lambent.training.ahead import ahead
 from lambent.training.loop import train
@@ -94,6 +94,18 @@ class Pair:
     target: FloatImage
     noisy_target: bool
     epsilon: float
+
+
+@dataclass(frozen=True)
+class Crops:
+    """A batch for the network; ``noisy_target``: some targets are halves.
+
+    ``epsilon`` ``(B, 1, 1, 1)``: relMSE's, at the rows' exposure.
+    """
+
+    inputs: Batch
+    noisy_target: bool
+    epsilon: Tensor
 
 
 def finetune(
@@ -241,40 +253,54 @@ class FinetuneTask(Task):
                 parameter.requires_grad = name.split(".")[0] in FIRST
         return model
 
-    def batches(self, first: int, rank: int, world: int) -> Generator[list[Row], None, None]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[Crops, None, None]:
         """Crops from anywhere; of held-out tiles the target is not told, until `told_at`."""
-        return ahead(lambda step: [self.row(step, n) for n in range(rank, BATCH, world)], first)
+        return ahead(lambda step: self.made(step, range(rank, BATCH, world)), first)
 
-    def row(self, step: int, number: int) -> Row:
-        """Row ``number`` of the batch of ``step``."""
-        rng = np.random.default_rng((step, number))
-        which = int(rng.integers(len(self.pairs)))
-        pair = self.pairs[which]
-        height, width = pair.target.shape[1:]
-        y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
-        if self.told_at is None:
-            pair = replace(pair, target=self._told[which])
-        cut = turned(_cut(pair, y, x), rng)
-        example = recoloured(cut, rng)
-        before = float(np.nansum(cut.target))
-        gain = float(np.nansum(example.target)) / before if before > 0 else 1.0
-        made = ready(example, 0.0, float(pair.noisy.spp or 0))
-        return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
+    def made(self, step: int, numbers: Sequence[int]) -> Crops:
+        """Those rows of the batch of a step."""
+        crops, which = [], []
+        for number in numbers:
+            rng = np.random.default_rng((step, number))
+            which.append(int(rng.integers(len(self.pairs))))
+            pair = self.pairs[which[-1]]
+            height, width = pair.target.shape[1:]
+            y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+            if self.told_at is None:
+                pair = replace(pair, target=self._told[which[-1]])
+            crops.append(_cut(pair, y, x))
+        dice = generator("cpu", step, *numbers)
+        rows = changes.turned(rows_of(crops), dice)
+        before = rows.target[:, :3].nansum((1, 2, 3))
+        changes.recoloured(rows, dice)
+        after = rows.target[:, :3].nansum((1, 2, 3))
+        return self._crops(rows, which, torch.where(before > 0, after / before, 1.0))
 
-    def loss(self, model: nn.Module, batch: list[Row]) -> tuple[Tensor, dict[str, Tensor]]:
+    def _crops(self, rows: Rows, which: Sequence[int], gain: Tensor) -> Crops:
+        """Rows of those pairs, at ``gain`` times their exposure, as the network reads them."""
+        pairs = [self.pairs[n] for n in which]
+        guess = torch.tensor([float(p.noisy.guess or 0) for p in pairs])
+        masks = torch.ones(len(pairs), len(MASKS))
+        parts = ready(rows, masks, rows.spp, torch.zeros(len(pairs)), guess)
+        epsilon = torch.tensor([p.epsilon for p in pairs]) * gain**2
+        return Crops(
+            Batch.of(*(part.to(self.device) for part in parts)),
+            any(p.noisy_target for p in pairs),
+            epsilon[:, None, None, None].to(self.device),
+        )
+
+    def loss(self, model: nn.Module, batch: Crops) -> tuple[Tensor, dict[str, Tensor]]:
         """The squared error, which is what frames are judged by, and a little of the logarithm.
 
         Relative to the reference; to the output where targets are halves. The loss of training
         moved well-trained weights away from it.
         """
-        device = torch.device(self.device)
-        b = Batch.of(batch, device)
+        b = batch.inputs
         x = cleaned(model, b)
         target = torch.where(torch.isnan(b.target), x.detach(), b.target)  # held out: no error
-        epsilon = torch.tensor([r.epsilon for r in batch], device=device)[:, None, None, None]
-        if any(r.noisy_target for r in batch):
-            return losses.unbiased(x, target, epsilon), {}
-        square = losses.relative_square(x, target, b.deviation, epsilon).mean()
+        if batch.noisy_target:
+            return losses.unbiased(x, target, batch.epsilon), {}
+        square = losses.relative_square(x, target, b.deviation, batch.epsilon).mean()
         return SQUARE * square + LOGARITHM * losses.logarithmic(x, target).mean(), {}
 
     def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
@@ -285,10 +311,7 @@ class FinetuneTask(Task):
         outputs = []
         for n, y, x in self._held:
             pair = self.pairs[n]
-            b = Batch.of(
-                [ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))],
-                torch.device(self.device),
-            )
+            b = self._crops(rows_of([_cut(pair, y, x)]), [n], torch.ones(1)).inputs
             outputs.append((pair, cleaned(model, b), b.target))
         if not self._first:
             self._first = [out for _, out, _ in outputs]

@@ -8,7 +8,7 @@ what its loss is (`RenderedNetwork`). What they may look at is in `denoise.lobes
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -20,11 +20,12 @@ from lambent.denoise.inputs import Signals
 from lambent.denoise.lobes import parts_of, whole_of
 from lambent.errors import OptionError
 from lambent.frame.layer import FloatImage
-from lambent.learn.augment import Example, turned
-from lambent.learn.batches import Sampler
-from lambent.learn.cache import Cached, stills_of
+from lambent.learn import changes
+from lambent.learn.cache import STORED, Cached, stills_of
 from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import Example, Rows, generator, random, rows_of
+from lambent.learn.stills import Stills
 from lambent.learn.task import Exportable, ShippedTask
 from lambent.registry import Registry
 from lambent.settings import Range, record_from
@@ -58,36 +59,13 @@ _RANGES: tuple[Range, ...] = (
 
 
 @dataclass(frozen=True)
-class Crop:
-    """One example for the networks of the papers, channels first; see `denoise.lobes.Parts`.
-
-    ``noisy``, ``target`` ``(3, H, W)`` radiance, ``target_diffuse``, ``target_specular``: the
-    target's parts in the terms of c̃; ``whole``, ``whole_albedo``, ``whole_planes``: the same of
-    the light as one part; ``deviation`` ``(1, H, W)`` of the target; ``preference``: λ in [0, 1],
-    for networks that have it.
-    """
-
-    diffuse: FloatImage
-    specular: FloatImage
-    albedo: FloatImage
-    diffuse_planes: FloatImage
-    specular_planes: FloatImage
-    noisy: FloatImage
-    target: FloatImage
-    target_diffuse: FloatImage
-    target_specular: FloatImage
-    deviation: FloatImage
-    whole: FloatImage
-    whole_albedo: FloatImage
-    whole_planes: FloatImage
-    preference: float = 0.0
-
-
-@dataclass
 class RenderedBatch:
-    """Crops put together: the fields of `Crop` with a batch axis.
+    """Crops for the networks of the papers; see `denoise.lobes.Parts`.
 
-    ``preference`` ``(B,)``; ``progress``: share of the training that is over.
+    ``noisy``, ``target`` ``(B, 3, H, W)`` radiance, ``target_diffuse``, ``target_specular``: the
+    target's parts in the terms of c̃; ``whole``, ``whole_albedo``, ``whole_planes``: the same of
+    the light as one part; ``deviation`` ``(B, 1, H, W)`` of the target; ``preference`` ``(B,)``: λ
+    in [0, 1], for networks that have it. ``progress``: share of the training that is over.
     """
 
     diffuse: Tensor
@@ -104,24 +82,46 @@ class RenderedBatch:
     whole_albedo: Tensor
     whole_planes: Tensor
     preference: Tensor
-    progress: float
+    progress: float = 1.0
 
     @classmethod
     def of(
-        cls, crops: Sequence[Crop], device: torch.device, progress: float = 1.0
+        cls, rows: Rows, preference: Tensor | None = None, progress: float = 1.0
     ) -> RenderedBatch:
-        """Crops as tensors on a device, what a network reads channels last."""
-        found: dict[str, Any] = {}
-        for name in _IMAGES:
-            tensor = torch.from_numpy(np.stack([getattr(c, name) for c in crops])).to(device)
-            if name.endswith("_planes"):
-                tensor = tensor.to(memory_format=torch.channels_last)
-            found[name] = tensor
-        preference = torch.tensor([c.preference for c in crops], device=device)
-        return cls(**found, preference=preference, progress=progress)
+        """Rows with lobes as the networks read them; ``preference`` None: 0."""
+        signals = _signals(rows)
+        parts, whole = parts_of(torch, signals), whole_of(torch, signals)
+        target = rows.target[:, :3]
+        # a frame without lobes counts as diffuse
+        diffuse = torch.where(rows.known("diffuse"), rows.target[:, 4:], target)
+        return cls(
+            parts.diffuse,
+            parts.specular,
+            parts.albedo,
+            parts.diffuse_planes,
+            parts.specular_planes,
+            signals.colour,
+            target,
+            diffuse / parts.albedo,
+            torch.log1p((target - diffuse).clamp_min(0)),
+            rows.target[:, 3:4],
+            whole.diffuse,
+            whole.albedo,
+            whole.diffuse_planes,
+            torch.zeros_like(rows.spp) if preference is None else preference,
+            progress,
+        )
 
-
-_IMAGES = tuple(name for name in Crop.__dataclass_fields__ if name != "preference")
+    def to(self, device: str) -> RenderedBatch:
+        """The batch on a device, what a network reads channels last."""
+        moved: dict[str, Any] = {}
+        for field in fields(self):
+            if field.name != "progress":
+                tensor = getattr(self, field.name).to(device)
+                if field.name.endswith("_planes"):
+                    tensor = tensor.to(memory_format=torch.channels_last)
+                moved[field.name] = tensor
+        return replace(self, **moved)
 
 
 class RenderedNetwork(Protocol):
@@ -182,7 +182,7 @@ class RenderedTask(ShippedTask):
                 remedy="make the data by lambent dataset make",
             )
         kept, held = parted(stills, recipe.held_out)
-        self.sampler = Sampler(kept, lobes=True)
+        self.stills = Stills(kept, lobes=True)
         self.checked = spread(held or kept, recipe.checked, lobes=True)
         self._yardstick: tuple[float, float] | None = None
 
@@ -207,32 +207,27 @@ class RenderedTask(ShippedTask):
             return None
         return own.started(weights) if hasattr(own, "started") else dict(weights)
 
-    def batches(
-        self, first: int, rank: int, world: int
-    ) -> Generator[tuple[int, list[Crop]], None, None]:
-        """Steps with the crops of this process's share."""
-        numbers = range(rank, self.recipe.batch, world)
-        return ahead(lambda step: (step, [self.crop(step, n) for n in numbers]), first)
+    def batches(self, first: int, rank: int, world: int) -> Generator[RenderedBatch, None, None]:
+        """This process's share of each batch."""
+        count = self.recipe.batch // world
+        return ahead(lambda step: self.made(step, count, rank), first)
 
-    def crop(self, step: int, number: int) -> Crop:
-        """Crop ``number`` of the batch of ``step``."""
-        rng = np.random.default_rng((self.recipe.seed, step, number))
-        example = turned(self.sampler.draw(rng), rng)
-        side = min(int(self.options.patch), *example.target.shape[1:])
-        y, x = (int(rng.integers(n - side + 1)) for n in example.target.shape[1:])
-        example = _exposed(_cut(example, y, x, side), rng)
-        preference = float(rng.random()) if getattr(self.kind, "uses_preference", False) else 0.0
-        return ready(example, preference)
+    def made(self, step: int, count: int, rank: int = 0) -> RenderedBatch:
+        """The crops of a step: they follow from seed, step and process."""
+        rng = generator("cpu", self.recipe.seed, step, rank)
+        rows = changes.turned(self.stills.rows(count, rng), rng)
+        rows = changes.cut(rows, int(self.options.patch), rng)
+        changes.exposed(rows, STOPS, rng)
+        preference = None
+        if getattr(self.kind, "uses_preference", False):
+            preference = random(count, 1, rng)[:, 0]
+        return RenderedBatch.of(rows, preference, step / self.recipe.steps)
 
-    def loss(
-        self, model: nn.Module, batch: tuple[int, list[Crop]]
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, model: nn.Module, batch: RenderedBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """The network's own loss; its convolutions in bf16, what filters in float32."""
-        step, crops = batch
-        device = torch.device(self.device)
-        b = RenderedBatch.of(crops, device, step / self.recipe.steps)
+        b = batch.to(self.device)
         own: Any = getattr(model, "module", model)
-        with torch.autocast(device.type, torch.bfloat16):
+        with torch.autocast(torch.device(self.device).type, torch.bfloat16):
             outputs = model(*own.inputs(b))
         terms = own.loss(outputs, b)
         return sum(terms.values()), terms
@@ -240,7 +235,7 @@ class RenderedTask(ShippedTask):
     @torch.no_grad()
     def clean(self, model: Any, example: Example) -> FloatImage:
         """What a network makes of an example ``(3, H, W)``, in float32."""
-        b = RenderedBatch.of([ready(example)], torch.device(self.device))
+        b = RenderedBatch.of(rows_of([example])).to(self.device)
         found: FloatImage = model.cleaned(model(*model.inputs(b)), b)[0].float().cpu().numpy()
         return found
 
@@ -274,7 +269,9 @@ class RenderedTask(ShippedTask):
         """The network, reading the planes that it asks for."""
         own: Any = model
         example, _ = self.checked[0]
-        b = RenderedBatch.of([ready(_cut(example, 0, 0, 64))], torch.device("cpu"))
+        rows = rows_of([example])
+        rows.planes, rows.target = (t[:, :, :64, :64] for t in (rows.planes, rows.target))
+        b = RenderedBatch.of(rows)
         examples = tuple(t.contiguous() for t in own.inputs(b))
         about = {"margin": own.reach(), "options": asdict(self.options)}
         return Exportable(model, examples, "lobes", about)
@@ -286,9 +283,8 @@ class RenderedTask(ShippedTask):
     def calibration(self) -> list[tuple[FloatImage, ...]]:
         """What the network reads of training crops."""
         own: Any = self.network()
-        crops = [self.crop(0, n) for n in range(CALIBRATION)]
-        batches = [RenderedBatch.of([crop], torch.device("cpu")) for crop in crops]
-        return [tuple(t[0].contiguous().numpy() for t in own.inputs(b)) for b in batches]
+        planes = own.inputs(self.made(0, CALIBRATION))
+        return [tuple(t[i].contiguous().numpy() for t in planes) for i in range(CALIBRATION)]
 
     def about_data(self) -> list[dict[str, Any]]:
         """For the card: what each data set is, how much of it, made of what."""
@@ -309,61 +305,16 @@ def options_for(recipe: TrainRecipe) -> Any:
     return record_from(kind, dict(recipe.options), ranges)
 
 
-def ready(example: Example, preference: float = 0.0) -> Crop:
-    """An example with lobes as arrays for the networks."""
-    parts, whole = parts_of(np, example.noisy), whole_of(np, example.noisy)
-    target, diffuse = example.target[:3], example.target[3:]
-    if "diffuse" not in example.noisy.layers:
-        diffuse = target  # a frame without lobes counts as diffuse
-    return Crop(
-        parts.diffuse,
-        parts.specular,
-        parts.albedo,
-        parts.diffuse_planes,
-        parts.specular_planes,
-        example.noisy.colour,
-        target,
-        (diffuse / parts.albedo).astype(np.float32),
-        np.log1p(np.maximum(target - diffuse, 0)),
-        example.deviation,
-        whole.diffuse,
-        whole.albedo,
-        whole.diffuse_planes,
-        preference,
-    )
-
-
 # ------------------------------------------------------------------- private
 
 
-def _cut(example: Example, y: int, x: int, side: int) -> Example:
-    """The square at row y and column x."""
-
-    def cut(image: FloatImage) -> FloatImage:
-        return np.ascontiguousarray(image[:, y : y + side, x : x + side])
-
-    noisy = example.noisy
-    layers = {name: cut(layer) for name, layer in noisy.layers.items()}
-    return Example(
-        replace(noisy, colour=cut(noisy.colour), layers=layers),
-        cut(example.target),
-        cut(example.deviation),
+def _signals(rows: Rows) -> Signals:
+    """Rows as signals with lobes: what a row does not have is what `lobes.parts_of` puts there."""
+    layers = {name: rows.layer(name) for name in STORED}
+    lobes = rows.known("diffuse")
+    layers["diffuse"] = torch.where(lobes, layers["diffuse"], rows.planes[:, :3])
+    layers["diffuse_albedo"] = torch.where(
+        rows.known("diffuse_albedo"), layers["diffuse_albedo"], layers["albedo"]
     )
-
-
-def _exposed(example: Example, rng: np.random.Generator) -> Example:
-    """Another exposure, and the channels of colour in another order."""
-    gain = np.float32(np.exp2(rng.uniform(-STOPS, STOPS)))
-    order = rng.permutation(3)
-    layers = dict(example.noisy.layers)
-    for name in ("diffuse", "colour_std", "diffuse_std", "specular_std"):
-        if name in layers:
-            layers[name] = layers[name] * gain
-    for name in ("diffuse", "albedo", "diffuse_albedo"):
-        if name in layers:
-            layers[name] = layers[name][order]
-    signals: Signals = replace(
-        example.noisy, colour=example.noisy.colour[order] * gain, layers=layers
-    )
-    both = np.concatenate([order, 3 + order])[: len(example.target)]
-    return Example(signals, example.target[both] * gain, example.deviation * gain)
+    layers["diffuse_std"] = torch.where(lobes, layers["diffuse_std"], layers["colour_std"])
+    return Signals(rows.planes[:, :3], layers)
