@@ -137,7 +137,7 @@ def int8(data: Path, cache: Path, levels: list[int]) -> str:
         for name in ("kpcn", "dpcn", "modular"):
             run = Run(cache_folder() / "runs" / name)
             recipe = replace(train_recipe_from(run.recipe()), data=(str(data),))
-            task = TASKS[recipe.task](recipe, cache_folder() / "training", lambda *_: None)
+            task = TASKS[recipe.task].make(recipe, cache_folder() / "training", lambda *_: None)
             path = Path(folder) / f"{name}.lambent"
             export_run(run, task, path, int8=True)
             worse, faster = [], []

@@ -27,8 +27,7 @@ from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.rows import Rows, generator, rows_of
 from lambent.learn.stills import Stills
-from lambent.learn.task import Exportable, ShippedTask
-from lambent.settings import record_from
+from lambent.learn.task import Exportable, Learnable, ShippedTask
 from lambent.training.task import Pictures, RecordableTask, Weights
 
 #: Subsets of layers that a network is scored with.
@@ -108,7 +107,7 @@ class DenoisingTask(RecordableTask, ShippedTask):
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
         self.recipe = recipe
-        self.options: Options = record_from(Options, dict(recipe.options))
+        self.options: Options = DENOISE.options_from(recipe.options)
         if recipe.size not in WIDTHS:
             raise OptionError(
                 f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
@@ -299,6 +298,9 @@ class DenoisingTask(RecordableTask, ShippedTask):
             within = (spp >= low) & (spp < high)
             if within.any():
                 found[f"{subset} smape from {low} spp"] = float(smape[within].mean())
+
+
+DENOISE = Learnable(Options, (), LambentNet, denoising_task)
 
 
 # ------------------------------------------------------------------- private

@@ -28,8 +28,7 @@ from lambent.learn.cache import cached
 from lambent.learn.held_out import is_held_out
 from lambent.learn.networks import dncnn
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Exportable, ShippedTask
-from lambent.settings import record_from
+from lambent.learn.task import Exportable, Learnable, ShippedTask
 from lambent.training.ahead import ahead
 from lambent.training.task import Pictures
 
@@ -59,6 +58,10 @@ class PhotoOptions:
     residual: bool = True
     small_start: bool = True
     patch: int = 50
+
+    def __post_init__(self) -> None:
+        if self.sigma_low > self.sigma_high:
+            raise OptionError("sigma_low lies above sigma_high")
 
 
 _RANGES = (
@@ -114,7 +117,7 @@ class PhotoTask(ShippedTask):
 
     def __init__(self, recipe: TrainRecipe, pictures: Sequence[Photograph]) -> None:
         self.recipe = recipe
-        self.options = options_for(recipe)
+        self.options: PhotoOptions = PHOTO.options_from(recipe.options)
         side = self.options.patch
         fit = [p for p in pictures if min(p.pixels.shape[:2]) >= side]
         held = [p for p in fit if is_held_out(p.name, recipe.held_out)]
@@ -220,14 +223,6 @@ class PhotoTask(ShippedTask):
         return [{"name": names, "pictures": len(self.pictures)}]
 
 
-def options_for(recipe: TrainRecipe) -> PhotoOptions:
-    """The options of a recipe. Raises `OptionError` for those that make no sense."""
-    found = record_from(PhotoOptions, dict(recipe.options), _RANGES)
-    if found.sigma_low > found.sigma_high:
-        raise OptionError("sigma_low lies above sigma_high")
-    return found
-
-
 def psnr(x: FloatImage, clean: FloatImage) -> float:
     """10 log10(1 / MSE) in dB of display values, ``x`` held to [0, 1] as on a screen."""
     error = np.clip(x, 0, 1).astype(np.float64) - clean
@@ -254,6 +249,9 @@ def photographs(folder: Path) -> list[Photograph]:
     if not found:
         raise FileError("holds no PNG or JPEG", file=folder, remedy="name another folder")
     return found
+
+
+PHOTO = Learnable(PhotoOptions, _RANGES, dncnn.DnCNN, photo_task)
 
 
 # ------------------------------------------------------------------- private

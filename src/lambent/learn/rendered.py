@@ -7,10 +7,11 @@ what its loss is (`RenderedNetwork`). What they may look at is in `denoise.lobes
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -26,36 +27,15 @@ from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, sprea
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.rows import Example, Rows, generator, random, rows_of
 from lambent.learn.stills import Stills
-from lambent.learn.task import Exportable, ShippedTask
-from lambent.registry import Registry
-from lambent.settings import Range, record_from
+from lambent.learn.task import Exportable, Learnable, ShippedTask
+from lambent.learn.tasks import TASKS
 from lambent.training.ahead import ahead
 from lambent.training.task import Pictures, Weights
 
-#: Networks that learn from rendered crops, by the ``task`` of their recipes.
-NETWORKS = Registry(
-    "network",
-    {
-        "kpcn": "lambent.learn.networks.kpcn:KPCN",
-        "dpcn": "lambent.learn.networks.kpcn:DPCN",
-        "modular": "lambent.learn.networks.modular:Modular",
-        "blocks": "lambent.learn.networks.blocks:Blocks",
-    },
-)
 #: Crops that int8 is calibrated with.
 CALIBRATION = 64
 #: Exposures of training crops differ by up to so many stops.
 STOPS = 1.0
-_RANGES: tuple[Range, ...] = (
-    ("width", 1, 1024),
-    ("hidden", 1, 64),
-    ("filter", 1, 31),
-    ("kernel", 1, 63),
-    ("alone", 0, 1),
-    ("patch", 16, 1024),
-    ("blocks", 0, 64),
-    ("scales", 1, 6),
-)
 
 
 @dataclass(frozen=True)
@@ -124,24 +104,38 @@ class RenderedBatch:
         return replace(self, **moved)
 
 
-class RenderedNetwork(Protocol):
+class RenderedNetwork(nn.Module, ABC):
     """What this task asks of a network, beside being a module.
 
-    ``options_of``: the dataclass of its options, which has a ``patch``. ``uses_preference``:
-    whether crops come with a λ drawn at random.
+    ``uses_preference``: whether crops come with a λ drawn at random. ``needs_lobes``: whether it
+    learns from diffuse and specular light apart.
     """
 
-    options_of: ClassVar[type]
+    uses_preference: ClassVar[bool] = False
+    needs_lobes: ClassVar[bool] = False
 
+    @property
+    def multiple(self) -> int:
+        """Height and width must be multiples of this."""
+        return 1
+
+    def started(self, weights: Weights | None) -> Weights | None:
+        """All weights to begin with, from those of another run or model; None: fresh ones."""
+        return weights
+
+    @abstractmethod
     def inputs(self, b: RenderedBatch) -> tuple[Tensor, ...]:
         """What `forward` takes of a batch."""
 
+    @abstractmethod
     def cleaned(self, outputs: Any, b: RenderedBatch) -> Tensor:
         """Radiance ``(B, 3, H, W)`` from what `forward` gave."""
 
+    @abstractmethod
     def loss(self, outputs: Any, b: RenderedBatch) -> dict[str, Tensor]:
         """Terms of the loss, to be summed."""
 
+    @abstractmethod
     def reach(self) -> int:
         """Pixels that a result may depend on, to each side."""
 
@@ -157,23 +151,23 @@ def rendered_task(
 
 
 class RenderedTask(ShippedTask):
-    """Learn to clean renders: `Task` for a network of `NETWORKS`, the one named by the recipe.
+    """Learn to clean renders: `Task` for a `RenderedNetwork`, the one named by the recipe.
 
     Raises `OptionError` for options that make no sense and for too few scenes.
     """
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
         self.recipe = recipe
-        self.kind = NETWORKS[recipe.task]
-        self.options = options_for(recipe)
+        self.entry: Learnable = TASKS[recipe.task]
+        self.options = self.entry.options_from(recipe.options)
         network = self.network()
-        multiple = int(getattr(network, "multiple", 1))
+        multiple = network.multiple
         if int(self.options.patch) % multiple:
             raise OptionError(
                 f"a patch of {self.options.patch} pixels does not suit '{recipe.task}'",
                 remedy=f"take a multiple of {multiple}",
             )
-        if getattr(network, "needs_lobes", False) and not all(
+        if network.needs_lobes and not all(
             "diffuse" in names for still in stills for names in still.layers
         ):
             raise OptionError(
@@ -186,26 +180,15 @@ class RenderedTask(ShippedTask):
         self.checked = spread(held or kept, recipe.checked, lobes=True)
         self._yardstick: tuple[float, float] | None = None
 
-    def network(self) -> nn.Module:
+    def network(self) -> RenderedNetwork:
         """A fresh network with the recipe's options."""
-        found = self.kind(self.options)
-        assert isinstance(found, nn.Module)
+        found = self.entry.network(self.options)
+        assert isinstance(found, RenderedNetwork)
         return found
 
     def started(self, weights: Weights | None) -> Weights | None:
-        """All weights to begin with, from those of another run or model; None: fresh ones.
-
-        Raises `OptionError` for a network of which a part is frozen and has to come from there.
-        """
-        own: Any = self.network()
-        if weights is None and getattr(self.options, "frozen", False):
-            raise OptionError(
-                "frozen = true keeps what a run begins with, and it begins with nothing",
-                remedy="add --from RUN, the folder of the run that made the rest",
-            )
-        if weights is None:
-            return None
-        return own.started(weights) if hasattr(own, "started") else dict(weights)
+        """What the network makes of them. Raises `OptionError` where it needs some."""
+        return self.network().started(weights)
 
     def batches(self, first: int, rank: int, world: int) -> Generator[RenderedBatch, None, None]:
         """This process's share of each batch."""
@@ -219,7 +202,7 @@ class RenderedTask(ShippedTask):
         rows = changes.cut(rows, int(self.options.patch), rng)
         changes.exposed(rows, STOPS, rng)
         preference = None
-        if getattr(self.kind, "uses_preference", False):
+        if self.entry.network.uses_preference:
             preference = random(count, 1, rng)[:, 0]
         return RenderedBatch.of(rows, preference, step / self.recipe.steps)
 
@@ -296,13 +279,6 @@ class RenderedTask(ShippedTask):
         errors = [errors_of(by_oidn(e, ("albedo", "normal")), e) for e, _ in self.checked]
         relmse, smape = (float(max(v, 1e-6)) for v in np.mean(errors, 0))
         return relmse, smape
-
-
-def options_for(recipe: TrainRecipe) -> Any:
-    """The options of the recipe's network. Raises `OptionError` for those that make no sense."""
-    kind = NETWORKS[recipe.task].options_of
-    ranges = [r for r in _RANGES if r[0] in kind.__dataclass_fields__]
-    return record_from(kind, dict(recipe.options), ranges)
 
 
 # ------------------------------------------------------------------- private

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor, nn
 
+from lambent.settings import Range, record_from
 from lambent.training.task import Task
 
 
@@ -24,6 +25,25 @@ class Exportable:
     examples: tuple[Tensor, ...]
     reads: str
     about: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Learnable:
+    """An entry of `tasks.TASKS`: a network to be learned, with what a recipe may say of it.
+
+    ``options``: the dataclass of the recipe's table ``[options]``; ``ranges`` of its fields.
+    ``network``: called with those options, where the task asks for it. ``make``: the task from a
+    recipe, the folder of the cache and a progress function.
+    """
+
+    options: type
+    ranges: tuple[Range, ...]
+    network: Any
+    make: Callable[..., ShippedTask]
+
+    def options_from(self, options: Mapping[str, Any]) -> Any:
+        """The options in a recipe's table. Raises `OptionError`."""
+        return record_from(self.options, dict(options), self.ranges)
 
 
 class ShippedTask(Task):

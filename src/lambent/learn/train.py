@@ -15,6 +15,7 @@ from lambent.learn.account import note_start
 from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
 from lambent.learn.recipe import MAY_DIFFER, TrainRecipe, load_train_recipe
+from lambent.learn.task import Learnable
 from lambent.learn.tasks import TASKS
 from lambent.startup import cache_folder
 from lambent.training.loop import Progress
@@ -52,13 +53,14 @@ def train(
     chosen = recipe if isinstance(recipe, TrainRecipe) else load_train_recipe(recipe)
     if output is not None:
         check_target(output, overwrite)
-    make_task = TASKS[chosen.task]
+    entry: Learnable = TASKS[chosen.task]
+    entry.options_from(chosen.options)  # what is wrong with them is said before data are made
     here = join(device)
     place = cache_folder() / "training"
     if not here.first:  # data are made and unpacked once
         here.wait()
     chosen = with_data(chosen, device, progress, missing=here.first)
-    with closing(make_task(chosen, place, progress if here.first else None)) as task:
+    with closing(entry.make(chosen, place, progress if here.first else None)) as task:
         if here.first:
             here.wait()
         folder = Path(run) if run is not None else run_folder(chosen)
