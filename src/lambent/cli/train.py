@@ -25,8 +25,13 @@ EPILOG = "Example: lambent train recipes/train/denoiser.toml --report training.h
 
 
 def train(
-    recipe: Annotated[
-        Path | None, typer.Argument(metavar="[RECIPE]", help="A TOML file; none to fine-tune.")
+    recipes: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[RECIPE | average RUN...]",
+            help="A TOML file; none to fine-tune. average: the mean of the weights of several runs "
+            "(folders) or models, to the output.",
+        ),
     ] = None,
     run: Annotated[
         Path | None,
@@ -76,6 +81,7 @@ def train(
     from lambent.frame.atomic import check_target
 
     try:
+        from lambent.learn.averaging import average
         from lambent.learn.finetune import finetune
         from lambent.learn.train import run_folder
         from lambent.learn.train import train as run_training
@@ -90,6 +96,15 @@ def train(
         ) from error
     from lambent.learn.recipe import load_train_recipe
 
+    if recipes and str(recipes[0]) == "average":
+        if output is None:
+            raise OptionError("a mean needs a place for the model", remedy="-o mine.lambent")
+        card = average([str(source) for source in recipes[1:]], output, overwrite)
+        print_json(card) if as_json else say(f"wrote {output}; its score is not measured")
+        return
+    if len(recipes or ()) > 1:
+        raise OptionError("one recipe at a time", remedy="lambent train RECIPE.toml")
+    recipe = recipes[0] if recipes else None
     if output is not None:
         check_target(output, overwrite)
     if threads is not None:

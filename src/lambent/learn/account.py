@@ -33,7 +33,9 @@ def account(run: Run) -> dict[str, Any]:
         "recipe": recipe,
         "step": best["step"],
         "hours": round(about["seconds"] / 3600, 2),
-        "trained_with": {k: about[k] for k in ("lambent", "torch", "processor", "cuda")},
+        "trained_with": {
+            k: about.get(k) for k in ("lambent", "commit", "torch", "processor", "cuda")
+        },
         "score": best["check"],
         "curve": [[line["step"], line["check"]["score"]] for line in checks],
     }

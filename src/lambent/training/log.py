@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import subprocess
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -81,10 +82,25 @@ class Log:
                     self._board.add_scalar(f"{kind}/{name}", value, line["step"])
 
 
+def commit() -> str | None:
+    """The commit of Lambent's own source, "+" after it where files differ; None if installed."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True)
+        changed = subprocess.run([*git, "status", "--porcelain", "."], capture_output=True)
+    except OSError:  # no git on this machine
+        return None
+    tracked = subprocess.run([*git, "ls-files", "log.py"], capture_output=True).stdout
+    if head.returncode or not tracked:
+        return None
+    return head.stdout.strip() + ("+" if changed.stdout else "")
+
+
 def note(run: Run, seconds: float) -> None:
     """Write ``run.json``."""
     about = {
         "lambent": __version__,
+        "commit": commit(),
         "torch": torch.__version__,
         "machine": platform.machine(),
         "processor": _processor(),
