@@ -8,8 +8,8 @@ from made import few_threads  # noqa: F401
 
 from lambent.denoise.inputs import CHANNELS
 from lambent.errors import OptionError
-from lambent.learn.denoising import DenoisingTask
 from lambent.learn.averaging import average
+from lambent.learn.denoising import DenoisingTask
 from lambent.learn.export import export, float_weights
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import NAMES, RoundedNet, rounded

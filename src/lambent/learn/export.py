@@ -25,7 +25,7 @@ from torch import nn
 from lambent.denoise.inputs import CHANNELS
 from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.denoise.openvino import openvino, silent
-from lambent.errors import LambentError, OptionError
+from lambent.errors import LambentError
 from lambent.frame.layer import FloatImage
 from lambent.learn.account import account, before
 from lambent.learn.networks.rounded import HIGHEST, RoundedNet, step_after
