@@ -3,7 +3,7 @@
     python benchmarks/train_step.py [--device cuda] [--batch 128] [--sizes fast,default,best]
 
 Crops are noise of the right shape (time does not depend on what is in them), on the device as
-`learn.resident` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
+`learn.stills` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
 tap by tap, forwards and backwards, and both are timed. "issued": until the processor had asked for
 everything; where that is nearly all of the time, the device waits for the processor. "recorded": as
 `lambent train` does it on CUDA, the step a CUDA graph (`training.graphed`), several batches at
