@@ -216,6 +216,7 @@ class DenoisingTask(RecordableTask, ShippedTask):
 
     # ------------------------------------------------------------- validation
 
+    @torch.no_grad()
     def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 

@@ -303,6 +303,7 @@ class FinetuneTask(Task):
         square = losses.relative_square(x, target, b.deviation, batch.epsilon).mean()
         return SQUARE * square + LOGARITHM * losses.logarithmic(x, target).mean(), {}
 
+    @torch.no_grad()
     def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Mean trimmed relMSE on the held-out tiles.
 

@@ -171,6 +171,7 @@ class PhotoTask(ShippedTask):
             found = model(noisy)
         return dncnn.loss(found, clean), {}
 
+    @torch.no_grad()
     def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """PSNR in dB on the held-out pictures, in float32.
 

@@ -222,6 +222,7 @@ class RenderedTask(ShippedTask):
         found: FloatImage = model.cleaned(model(*model.inputs(b)), b)[0].float().cpu().numpy()
         return found
 
+    @torch.no_grad()
     def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Trimmed relMSE and SMAPE on held-out crops, and as ratios to OIDN High's.
 

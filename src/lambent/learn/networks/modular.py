@@ -160,13 +160,10 @@ class Modular(RenderedNetwork):
             )
         if weights is None:
             return None
-        own = self.state_dict()
-        taken = {
-            name: value
-            for name, value in weights.items()
-            if not (self.options.frozen and name.startswith("encoder."))
-        }
-        return {**own, **taken}
+        if not self.options.frozen:
+            return weights
+        own = {f"encoder.{name}": value for name, value in self.encoder.state_dict().items()}
+        return {**weights, **own}
 
     def reach(self) -> int:
         """Pixels that a result may depend on, to each side: most of it by the coarsest scale."""
