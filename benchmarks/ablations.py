@@ -82,8 +82,9 @@ def learned(label: str, settings: Row, task_of: Any, folder: Path, start: Any = 
 
     A curve that leaves the numbers is kept up to there, and said to have diverged.
     """
-    from lambent.learn.loop import Run, train
     from lambent.learn.recipe import train_recipe_from
+    from lambent.learn.train import train_task as train
+    from lambent.training.run import Run
 
     rates = settings.pop("rates")
     steps = int(settings["steps"])
@@ -172,9 +173,9 @@ def dncnn(arguments: argparse.Namespace) -> list[Row]:
 def source(arguments: argparse.Namespace) -> list[Row]:
     """Another renderer's frames on a network that knows one."""
     from lambent.learn.cache import cached
-    from lambent.learn.loop import Run
     from lambent.learn.rendered import RenderedTask
     from lambent.startup import cache_folder
+    from lambent.training.run import Run
 
     stills = cached(arguments.data, cache_folder() / "training")
     run = Run(arguments.start or cache_folder() / "runs" / "modular")
@@ -284,8 +285,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, help="folder of the runs; default in the cache")
     parser.add_argument("--out", type=Path, help="path without suffix for .md, .json and .svg")
     arguments = parser.parse_args()
-    from lambent.learn.loop import use_threads
     from lambent.startup import cache_folder
+    from lambent.training.process import use_threads
 
     use_threads(arguments.threads)
     arguments.runs = arguments.runs or cache_folder() / "runs" / "ablations"

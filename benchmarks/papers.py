@@ -127,17 +127,17 @@ def int8(data: Path, cache: Path, levels: list[int]) -> str:
     from lambent.filters.denoiser import create
     from lambent.frame.files import read
     from lambent.learn.export import export_run
-    from lambent.learn.loop import Run
     from lambent.learn.recipe import train_recipe_from
     from lambent.learn.tasks import TASKS
     from lambent.startup import cache_folder
+    from lambent.training.run import Run
 
     lines = []
     with TemporaryDirectory() as folder:
         for name in ("kpcn", "dpcn", "modular"):
             run = Run(cache_folder() / "runs" / name)
             recipe = replace(train_recipe_from(run.recipe()), data=(str(data),))
-            task = TASKS[recipe.task](recipe, cache_folder() / "training", lambda *_: None)
+            task = TASKS[recipe.task].make(recipe, cache_folder() / "training", lambda *_: None)
             path = Path(folder) / f"{name}.lambent"
             export_run(run, task, path, int8=True)
             worse, faster = [], []

@@ -3,10 +3,11 @@
     python benchmarks/train_step.py [--device cuda] [--batch 128] [--sizes fast,default,best]
 
 Crops are noise of the right shape (time does not depend on what is in them), on the device as
-`learn.resident` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
+`learn.stills` keeps them. On CUDA the filter's kernels (Triton) are first compared with the same
 tap by tap, forwards and backwards, and both are timed. "issued": until the processor had asked for
 everything; where that is nearly all of the time, the device waits for the processor. "recorded": as
-`lambent train` does it on CUDA, the step a CUDA graph (`learn.graphed`), several batches at once.
+`lambent train` does it on CUDA, the step a CUDA graph (`training.graphed`), several batches at
+once.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ import torch
 
 from filters import machine, markdown_table
 from lambent.learn import losses
+from lambent.learn.batches import batch_of
 from lambent.learn.cache import PLANES_OF, STORED, TARGET_PLANES, Cached
 from lambent.learn.denoising import TOGETHER, Batch, cleaned
-from lambent.learn.graphed import Graphed
 from lambent.learn.networks import kernel_pyramid
 from lambent.learn.networks.lambent import WIDTHS, LambentNet
 from lambent.learn.networks.rounded import RoundedNet
-from lambent.learn.resident import Residents, batch_of
+from lambent.learn.stills import Stills
+from lambent.training.graphed import Graphed
 
 
 def stills(folder: Path, count: int = 8) -> list[Cached]:
@@ -103,19 +105,19 @@ def main() -> None:
         torch.backends.cudnn.benchmark = True
         print(compare_filters(batch, rounds) + "\n")
     with tempfile.TemporaryDirectory() as folder:
-        residents = Residents(stills(Path(folder)), device)
+        residents = Stills(stills(Path(folder)), device)
     steps = iter(range(1 << 30))
 
     def made() -> Batch:
         packed, *rest = batch_of(residents, 1, next(steps), batch)
-        return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
+        return Batch.of(packed, *rest)
 
     def several() -> Iterator[Batch]:
         together = TOGETHER.get(device.type, 1)
         while True:
             drawn = batch_of(residents, 1, next(steps), batch * together)
             for packed, *rest in zip(*(part.chunk(together) for part in drawn), strict=True):
-                yield Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
+                yield Batch.of(packed, *rest)
 
     def loss_of(
         model: torch.nn.Module, tensors: Sequence[torch.Tensor]

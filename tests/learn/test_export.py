@@ -72,7 +72,8 @@ def test_weights_come_back(network, files):
 
 def test_the_mean_of_two_models_lies_between_them(tmp_path):
     from lambent.errors import OptionError
-    from lambent.learn.export import average, export, float_weights
+    from lambent.learn.averaging import average
+    from lambent.learn.export import export, float_weights
 
     paths = []
     for seed in (1, 2):
@@ -85,6 +86,8 @@ def test_the_mean_of_two_models_lies_between_them(tmp_path):
     export(LambentNet("default"), other, {"name": "other"}, None)
     card = average(paths, tmp_path / "mean.lambent")
     assert [part["name"] for part in card["averaged"]] == ["1", "2"]
+    assert "score" not in card  # that of another's weights would be a lie
+    assert card["score_says"].startswith("not measured")
     one, two, mean = (float_weights(p) for p in (*paths, str(tmp_path / "mean.lambent")))
     for name, value in mean.items():
         torch.testing.assert_close(value, (one[name] + two[name]) / 2, rtol=2e-3, atol=1e-4)

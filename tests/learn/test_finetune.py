@@ -66,8 +66,8 @@ def test_half_buffers_suffice(tmp_path):
         rtol=1e-3,
     )
     task = FinetuneTask(pairs, "fast")
-    batch = [task.row(0, n) for n in range(2)]
-    loss, _ = task.loss(LambentNet("fast"), batch, torch.device("cpu"))
+    batch = task.made(0, range(2))
+    loss, _ = task.loss(LambentNet("fast"), batch)
     assert float(loss.detach()) > 0
 
 
@@ -101,12 +101,11 @@ def test_against_a_half_brighter_is_not_better(tmp_path):
     noise = np.random.default_rng(0).exponential(1, pair.target.shape).astype(np.float32)
     task.pairs[number] = pair = dataclasses.replace(pair, target=pair.target * noise, epsilon=1e-6)
     model = LambentNet("fast").eval()
-    device = torch.device("cpu")
-    before = task.score(model, device)[0]["score"]
-    assert task.score(model, device)[0]["score"] == pytest.approx(before)
+    before = task.score(model)[0]["score"]
+    assert task.score(model)[0]["score"] == pytest.approx(before)
     signals = dataclasses.replace(pair.noisy, colour=2 * pair.noisy.colour)
     task.pairs[number] = dataclasses.replace(pair, noisy=signals)
-    assert task.score(model, device)[0]["score"] > before
+    assert task.score(model)[0]["score"] > before
 
 
 def test_epsilon_is_a_radiance_of_the_frame(shots):
@@ -115,12 +114,12 @@ def test_epsilon_is_a_radiance_of_the_frame(shots):
     factor = float(pair.noisy.colour.mean() / frame.colour.mean())
     assert pair.epsilon == pytest.approx(0.01 * factor**2, rel=1e-3)
     task = FinetuneTask([pair], "fast")
-    row = task.row(0, 0)  # at another exposure
-    gain = np.nanmean(row.target) / pair.target.mean()
-    assert 0.3 < row.epsilon / (pair.epsilon * gain**2) < 3
+    row = task.made(0, [0])  # at another exposure
+    gain = float(row.inputs.target.nanmean()) / pair.target.mean()
+    assert 0.3 < float(row.epsilon) / (pair.epsilon * gain**2) < 3
     black = dataclasses.replace(pair, target=0 * pair.target)
-    row = FinetuneTask([black], "fast").row(0, 0)
-    assert row.epsilon == pair.epsilon
+    row = FinetuneTask([black], "fast").made(0, [0])
+    assert float(row.epsilon) == pytest.approx(pair.epsilon)
 
 
 def test_little_data_frees_the_first_layers_only(shots):
@@ -138,16 +137,16 @@ def test_what_is_held_out_is_not_told(shots):
     target[:, y : y + 128, x : x + 128] = 1e3
     task = FinetuneTask([dataclasses.replace(pair, target=target)], "fast")
     torch.manual_seed(0)
-    model, device = LambentNet("fast"), torch.device("cpu")
+    model = LambentNet("fast")
     shares = []
     for n in range(12):
-        row = task.row(0, n)
-        np.testing.assert_array_equal(row.target, first.row(0, n).target)
-        shares.append(np.isnan(row.target).mean())
-        assert np.isfinite(row.epsilon)
-        assert np.isfinite(row.packed).all()
+        row, other = task.made(0, [n]), first.made(0, [n])
+        np.testing.assert_array_equal(row.inputs.target, other.inputs.target)
+        shares.append(float(row.inputs.target.isnan().float().mean()))
+        assert torch.isfinite(row.epsilon).all()
+        assert torch.isfinite(row.inputs.packed).all()
     assert 0 < np.mean(shares) < 0.6
-    losses = [t.loss(model, [t.row(0, n) for n in (6, 9)], device)[0] for t in (first, task)]
+    losses = [t.loss(model, t.made(0, (6, 9)))[0] for t in (first, task)]
     assert float(losses[0].detach()) == float(losses[1].detach()) > 0
     losses[1].backward()
     assert all(torch.isfinite(p.grad).all() for p in model.parameters() if p.grad is not None)
@@ -171,7 +170,6 @@ class Fixed(torch.nn.Module):
 
 def test_held_out_tiles_are_told_once_the_model_is_better_on_them(shots):
     (pair,) = pairs_of(shots[0])
-    device = torch.device("cpu")
     noisy, smooth = Fixed(0), Fixed(20)
     for models, after, told in (
         ((noisy, smooth), 0.0, 2),  # better
@@ -180,17 +178,17 @@ def test_held_out_tiles_are_told_once_the_model_is_better_on_them(shots):
         ((noisy, smooth), 1e9, None),  # too early
     ):
         task = FinetuneTask([pair], "fast", tell_after=after)
-        scores = [task.score(model, device)[0]["score"] for model in models]
+        scores = [task.score(model)[0]["score"] for model in models]
         assert (scores[0] > scores[1]) == (models[0] is noisy)
         assert task.told_at == told
-        hidden = [np.isnan(task.row(0, n).target).any() for n in range(12)]
+        hidden = [bool(task.made(0, [n]).inputs.target.isnan().any()) for n in range(12)]
         assert any(hidden) == (told is None)
 
 
 def test_noisy_targets_stay_held_out(tmp_path):
     task = FinetuneTask(halves(tmp_path, 1), "fast", tell_after=0.0)
     for model in (Fixed(0), Fixed(20)):
-        task.score(model, torch.device("cpu"))
+        task.score(model)
     assert task.told_at is None
 
 

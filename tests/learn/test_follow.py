@@ -15,8 +15,8 @@ from lambent.dataset.pack import packed
 from lambent.dataset.recipe import Recipe
 from lambent.learn.cache import cached
 from lambent.learn.denoising import denoising_task
-from lambent.learn.loop import train
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.train import train_task as train
 
 SET = Recipe(name="growing", seed=1, count=8, crop=64)
 
@@ -50,12 +50,12 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
     monkeypatch.setattr("lambent.learn.denoising.LOOK_EVERY", 0.0)
     recipe = TrainRecipe(
         name="follows", size="fast", steps=2, batch=2, warmup=1, check_every=100, checked=2,
-        held_out=0.0, data=(str(data),), options={"follow": True, "resident": True},
+        held_out=0.0, data=(str(data),), options={"follow": True},
     )  # fmt: skip
     place = tmp_path / "cache"
     task = denoising_task(recipe, place)
     try:
-        assert len(task.train.stills) == 2
+        assert len(task.stills) == 2
         train(recipe, task, tmp_path / "run", "cpu", steps=1)
         add(data, 2)
         deadline = time.monotonic() + 120
@@ -63,7 +63,7 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
             assert time.monotonic() < deadline, "nobody unpacks"
             time.sleep(0.2)
         train(recipe, task, tmp_path / "run", "cpu", steps=2)
-        assert len(task._residents) == 3
+        assert len(task.stills) == 3
     finally:
         task.close()
     assert not any(process.is_alive() for process in task._follower._processes)
@@ -72,8 +72,9 @@ def test_a_run_takes_in_what_is_added(data, tmp_path, monkeypatch):
 
 def test_a_run_that_began_with_weights_goes_on_with_its_own(data, tmp_path, monkeypatch):
     from lambent.denoise.model_file import read_model
-    from lambent.learn.loop import Run
+    from lambent.learn.account import before
     from lambent.learn.train import train as verb
+    from lambent.training.run import Run
 
     monkeypatch.setenv("LAMBENT_CACHE", str(tmp_path / "cache"))
     recipe = TrainRecipe(
@@ -88,11 +89,11 @@ def test_a_run_that_began_with_weights_goes_on_with_its_own(data, tmp_path, monk
             output=tmp_path / "int8.lambent" if steps == 2 else None,
         )  # fmt: skip
     run = Run(tmp_path / "int8")
-    assert [told["name"] for told in run.before()] == ["float"]
+    assert [told["name"] for told in before(run)] == ["float"]
     card = read_model(tmp_path / "int8.lambent").card
     assert card["int8"] is True
     assert [told["recipe"]["size"] for told in card["begun_with"]] == ["fast"]
     assert card["begun_with"][0]["step"] == card["step"] == 2
     again = verb(replace(recipe, name="more"), tmp_path / "more", device="cpu", steps=1,
                  start=str(tmp_path / "int8.lambent"))  # fmt: skip
-    assert [told["name"] for told in again.before()] == ["float", "int8"]
+    assert [told["name"] for told in before(again)] == ["float", "int8"]

@@ -5,19 +5,19 @@ import pytest
 import torch
 from made import few_threads  # noqa: F401
 
-from lambent.learn import resident
+from lambent.learn import batches
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import RecordableTask
+from lambent.training.graphed import Graphed
+from lambent.training.task import RecordableTask
 
 
 @pytest.fixture
 def task(tmp_path, monkeypatch):
-    monkeypatch.setattr(resident, "LEAST", 16)  # the small crops here are shrunk, too
+    monkeypatch.setattr(batches, "LEAST", 16)  # the small crops here are shrunk, too
 
     def task_of(device, int8=False):
-        options = {"int8": int8, "resident": True}
+        options = {"int8": int8}
         recipe = TrainRecipe(name="x", size="fast", batch=4, held_out=0.0, options=options)
         found = DenoisingTask(recipe, made.stills(tmp_path))
         found.device = device
@@ -33,12 +33,12 @@ def eager(task, model, tensors):
 
 
 def test_what_is_recorded_is_the_loss_of_the_loop(task):
-    made_here, device = task("cpu"), torch.device("cpu")
+    made_here = task("cpu")
     assert isinstance(made_here, RecordableTask)
     model = made_here.network()
-    loss, terms = made_here.loss(model, (0, 0, 2), device)
+    loss, terms = made_here.loss(model, (0, 0, 2))
     loss.backward()
-    tensors = made_here.tensors((0, 0, 2), device)
+    tensors = made_here.tensors((0, 0, 2))
     found, parts, grads = Graphed(model, made_here.loss_of)._step(tensors)
     assert torch.equal(found, loss.detach())
     assert parts.keys() == terms.keys()
@@ -52,11 +52,11 @@ def test_a_recorded_step_is_the_step(task, int8):
     made_here, device = task("cuda", int8), torch.device("cuda")
     model = made_here.network().to(device, memory_format=torch.channels_last)
     if int8:
-        model.fit(made_here.tensors((0, 0, 4), device)[0])
+        model.fit(made_here.tensors((0, 0, 4))[0])
     graphed = Graphed(model, made_here.loss_of)
     shapes = set()
     for step in range(0, 48, 4):
-        tensors = made_here.tensors((step, 0, 4), device)
+        tensors = made_here.tensors((step, 0, 4))
         shapes.add(tensors[1].shape)
         loss, wanted, names = eager(made_here, model, tensors)
         found, terms = graphed(tensors)

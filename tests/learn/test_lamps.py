@@ -1,69 +1,75 @@
 """Lamps put into training crops are what samples that see a lamp or do not would give."""
 
-from dataclasses import replace
-
 import made
 import numpy as np
 import pytest
+import torch
 from made import few_threads  # noqa: F401
 
 from lambent.denoise.inputs import signals_of
 from lambent.learn import lamps
-from lambent.learn.augment import Example
-from lambent.learn.lamps import Lamp
+from lambent.learn.rows import Example, rows_of
 
 COVER = 0.3
-RADIANCE = np.array([100.0, 50.0, 20.0], np.float32)
+RADIANCE = torch.tensor([100.0, 50.0, 20.0])
 
 
-def example(spp, black=True):
+def rows(spp, black=True):
     noisy = signals_of(made.frame(np.random.default_rng(0), spp))
+    found = rows_of([Example(noisy, noisy.colour, np.zeros((1, 64, 64), np.float32))])
     if black:
-        names = {n: np.zeros_like(v) for n, v in noisy.layers.items()}
-        noisy = replace(noisy, colour=np.zeros_like(noisy.colour), layers=names)
-    zero = np.zeros((3, 64, 64), np.float32)
-    return Example(noisy, zero if black else noisy.colour, zero[:1])
+        found.planes.zero_(), found.target.zero_()
+    return found
 
 
-def lamp(cover, features=False):
-    return Lamp(np.full((64, 64), cover, np.float32), RADIANCE, features)
+def lamp(cover, own=0.0):
+    drawn = lamps.draw(1, 64, 64, torch.Generator().manual_seed(5))
+    drawn.cover = torch.full((1, 1, 64, 64), cover)
+    drawn.radiance = RADIANCE[None, :, None, None]
+    drawn.own = torch.full((1, 1, 1, 1), own)
+    return drawn
+
+
+def added(to, what, seed):
+    lamps.add(to, what, torch.Generator().manual_seed(seed))
+    return to
 
 
 def test_a_lamp_that_fills_pixels_is_free_of_noise():
-    lit = lamps.add(example(4), lamp(1.0), np.random.default_rng(1))
-    np.testing.assert_array_equal(lit.noisy.colour, lit.target)
-    assert np.all(lit.target == RADIANCE[:, None, None])
-    assert np.all(lit.noisy.layers["colour_std"] == 0)
+    lit = added(rows(4), lamp(1.0), 1)
+    assert torch.equal(lit.planes[:, :3], lit.target[:, :3])
+    assert bool((lit.target[0, :3] == RADIANCE[:, None, None]).all())
+    assert not bool(lit.layer("colour_std").any())
 
 
 @pytest.mark.parametrize("spp", [2, 16])
 def test_half_covered_pixels_have_the_mean_and_the_variance_of_their_samples(spp):
-    lit = lamps.add(example(spp), lamp(COVER), np.random.default_rng(2))
-    got = lit.noisy.colour[0] / RADIANCE[0]
+    lit = added(rows(spp), lamp(COVER), 2)
+    got = lit.planes[0, 0] / RADIANCE[0]
     truth = COVER * (1 - COVER) / spp  # of a binomial share
-    assert got.mean() == pytest.approx(COVER, abs=4 * np.sqrt(truth) / 64)
-    assert got.var() == pytest.approx(truth, rel=0.1)
+    assert float(got.mean()) == pytest.approx(COVER, abs=4 * np.sqrt(truth) / 64)
+    assert float(got.var()) == pytest.approx(truth, rel=0.1)
     # what the layer says of it is right on average
-    told = (lit.noisy.layers["colour_std"] ** 2).mean() / RADIANCE.mean() ** 2
+    told = float(lit.layer("colour_std").square().mean() / RADIANCE.mean() ** 2)
     assert told == pytest.approx(truth, rel=0.1)
-    np.testing.assert_allclose(lit.target[1], COVER * RADIANCE[1], rtol=1e-6)
+    torch.testing.assert_close(lit.target[0, 1], (COVER * RADIANCE[1]).expand(64, 64))
 
 
 def test_features_are_the_lamp_s_own_or_left_alone():
-    start = example(4, black=False)
-    left = lamps.add(start, lamp(1.0), np.random.default_rng(3)).noisy.layers
-    own = lamps.add(start, lamp(1.0, features=True), np.random.default_rng(3)).noisy.layers
+    start = rows(4, black=False)
+    left = added(rows(4, black=False), lamp(1.0), 3)
+    own = added(rows(4, black=False), lamp(1.0, own=1.0), 3)
     for name in ("albedo", "normal", "depth"):
-        np.testing.assert_array_equal(left[name], start.noisy.layers[name])
-        assert np.ptp(own[name].reshape(len(own[name]), -1), axis=1).max() == 0
-    assert np.linalg.norm(own["normal"][:, 0, 0]) == pytest.approx(1, rel=1e-5)
+        torch.testing.assert_close(left.layer(name), start.layer(name), rtol=0, atol=0)
+        flat = own.layer(name).flatten(2)
+        assert float((flat.amax(2) - flat.amin(2)).max()) == 0
+    assert float(own.layer("normal")[0, :, 0, 0].norm()) == pytest.approx(1, rel=1e-5)
 
 
 def test_drawn_lamps_are_small_and_whole():
-    rng = np.random.default_rng(4)
-    covers = [lamps.draw((64, 64), rng).cover for _ in range(200)]
-    assert all(c.min() >= 0 and c.max() <= 1 for c in covers)
-    areas = np.array([c.sum() for c in covers])
+    covers = lamps.draw(200, 64, 64, torch.Generator().manual_seed(4)).cover
+    assert 0 <= float(covers.min()) <= float(covers.max()) <= 1
+    areas = covers.sum((1, 2, 3)).numpy()
     assert np.median(areas) < 40
     assert (areas > 0).mean() > 0.95
     assert np.percentile(areas, 5) < 4  # some are as small as a firefly

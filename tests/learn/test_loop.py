@@ -15,12 +15,12 @@ from made import few_threads  # noqa: F401
 
 from lambent.errors import DamagedFileError, FileError, OptionError
 from lambent.learn import losses
-from lambent.learn.augment import Example
 from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, DenoisingTask
-from lambent.learn.loop import schedule, train
 from lambent.learn.networks.lambent import LambentNet, denoised
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import Example, rows_of
+from lambent.learn.train import train_task as train
 
 RECIPE = TrainRecipe(
     name="test", size="fast", steps=6, batch=2, warmup=2, check_every=6, checked=4, held_out=0.0
@@ -93,11 +93,12 @@ def test_two_processes_are_one(tmp_path):
 
 def test_it_overfits_one_crop():
     still = made.still(0)
-    from lambent.denoise.inputs import signals_of
+    from lambent.denoise.inputs import MASKS, signals_of
 
     target = still.target.colour.transpose(2, 0, 1)
     example = Example(signals_of(still.levels[0]), target, np.zeros((1, 64, 64), np.float32))
-    batch = Batch.of([ready(example, 0.0, 1.0)], torch.device("cpu"))
+    rows = rows_of([example])
+    batch = Batch.of(*ready(rows, torch.ones(1, len(MASKS)), rows.spp, torch.zeros(1)))
     torch.manual_seed(0)
     model = LambentNet("fast")
     adam = torch.optim.Adam(model.parameters(), 2e-3)
@@ -150,19 +151,9 @@ def test_the_run_folder_says_what_was_done(task, tmp_path):
     assert len(list((run.folder / "pictures").glob("*.png"))) == 3  # one a level
 
 
-def test_the_rate_rises_and_falls():
-    recipe = TrainRecipe(name="x", steps=100, warmup=10, last_rate=0.01)
-    rates = [schedule(recipe, step) for step in range(100)]
-    assert rates[0] == pytest.approx(0.1)
-    assert max(rates) == pytest.approx(1.0)
-    assert rates[10:] == sorted(rates[10:], reverse=True)
-    assert rates[-1] == pytest.approx(0.01, abs=2e-3)
-    assert schedule(recipe, 50, 1.0) == pytest.approx(0.01)
-
-
 def test_a_run_by_the_clock_is_not_bounded_by_steps(task, tmp_path, monkeypatch):
     now = iter(range(100_000))
-    monkeypatch.setattr("lambent.learn.loop.time.monotonic", lambda: float(next(now)))
+    monkeypatch.setattr("lambent.training.loop.time.monotonic", lambda: float(next(now)))
     recipe = replace(RECIPE, steps=2, check_every=1000)
     said = []
     run = train(

@@ -17,11 +17,12 @@ from lambent.filters.denoiser import create
 from lambent.filters.explain import explain
 from lambent.frame.role import Role
 from lambent.learn import photo, rendered
-from lambent.learn.augment import Example
 from lambent.learn.export import export_run
-from lambent.learn.loop import Run, train
 from lambent.learn.networks import blocks, dncnn, kernels, kpcn, modular
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import Example
+from lambent.learn.train import train_task as train
+from lambent.training.run import Run
 
 LEAN = {
     "kpcn": {"width": 8, "hidden": 2, "kernel": 5, "patch": 32},
@@ -239,14 +240,14 @@ def test_the_cache_keeps_the_lobes(tmp_path):
 
 @pytest.mark.parametrize("name", LEAN)
 def test_a_network_learns_one_crop_by_heart(name, tmp_path):
-    recipe, task = task_of(name, tmp_path)
-    crops = [task.crop(0, n) for n in range(2)]
+    _, task = task_of(name, tmp_path)
+    crops = dataclasses.replace(task.made(0, 2), progress=1.0)
     torch.manual_seed(0)
     model = task.network()
     adam = torch.optim.Adam(model.parameters(), 3e-3)
     found = []
     for _ in range(60):
-        loss, _ = task.loss(model, (recipe.steps, crops), torch.device("cpu"))
+        loss, _ = task.loss(model, crops)
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -266,23 +267,20 @@ def test_a_resumed_run_is_an_uninterrupted_one(name, tmp_path):
 
 def test_parts_learn_alone_and_then_together(tmp_path):
     _, task = task_of("kpcn", tmp_path)
-    crops = [task.crop(0, 0)]
     model = task.network()
     for step, names in ((0, {"diffuse", "specular"}), (5, {"colour"})):
-        _, terms = task.loss(model, (step, crops), torch.device("cpu"))
+        _, terms = task.loss(model, task.made(step, 1))
         assert set(terms) == names
 
 
 def test_a_preference_makes_overshooting_dear(tmp_path):
     _, task = task_of("modular", tmp_path)
-    crop = task.crop(0, 0)
-    assert 0 <= crop.preference <= 1
+    crop = task.made(0, 1)
+    assert 0 <= float(crop.preference) <= 1
     model = task.network()
     losses = []
     for preference in (0.0, 1.0):
-        b = rendered.RenderedBatch.of(
-            [dataclasses.replace(crop, preference=preference)], torch.device("cpu")
-        )
+        b = dataclasses.replace(crop, preference=torch.tensor([preference]))
         outputs = model(*model.inputs(b))
         losses.append(float(model.loss(outputs, b)["smape"].detach()))
     assert losses[1] > 1.5 * losses[0]
@@ -321,7 +319,7 @@ def test_openvino_and_pytorch_agree(name, size, tmp_path):
         )
         zeros = np.zeros((6, *padded.colour.shape[1:]), np.float32)
         example = Example(padded, zeros, zeros[:1])
-    by_torch = task.clean(model, example, torch.device("cpu"))[:, : size[0], : size[1]] / factor
+    by_torch = task.clean(model, example)[:, : size[0], : size[1]] / factor
     np.testing.assert_allclose(ours, by_torch.transpose(1, 2, 0), rtol=1e-4, atol=1e-4)
 
 
@@ -531,7 +529,7 @@ def test_dncnn_learns_to_take_noise_off():
     batches = task.batches(0, 0, 1)
     losses = []
     for _ in range(80):
-        loss, _ = task.loss(model, next(batches), torch.device("cpu"))
+        loss, _ = task.loss(model, next(batches))
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -545,7 +543,7 @@ def test_dncnn_learns_to_take_noise_off():
     )
     assert float(dncnn.loss(noisy, clean)) == pytest.approx(untouched, rel=0.1)
     assert np.mean(losses[-10:]) < 0.6 * untouched
-    scores, shown = task.score(model.eval(), torch.device("cpu"))
+    scores, shown = task.score(model.eval())
     untouched = -20 * np.log10(50 / 255)
     assert scores["psnr 50"] > untouched + 3
     assert scores["score"] == pytest.approx(255 * 10 ** (-scores["psnr 50"] / 20))
@@ -690,7 +688,7 @@ def test_lobes_are_needed_where_they_are_learned(tmp_path):
     with pytest.raises(OptionError, match="diffuse and specular light apart"):
         rendered.RenderedTask(recipe, stills)
     blind = TrainRecipe(name="x", task="modular", held_out=0.0, options=LEAN["modular"])
-    assert rendered.RenderedTask(blind, stills).crop(0, 0).target.shape == (3, 32, 32)
+    assert rendered.RenderedTask(blind, stills).made(0, 1).target.shape == (1, 3, 32, 32)
 
 
 def test_weights_of_another_network_are_refused(tmp_path):

@@ -9,12 +9,13 @@ from made import few_threads  # noqa: F401
 
 from lambent.denoise.inputs import CHANNELS
 from lambent.errors import OptionError
+from lambent.learn.averaging import average
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.export import average, export, float_weights
-from lambent.learn.loop import train
+from lambent.learn.export import export, float_weights
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import NAMES, RoundedNet, rounded
 from lambent.learn.recipe import TrainRecipe
+from lambent.learn.train import train_task as train
 
 
 def inputs(count=2, size=32, seed=0):

@@ -64,17 +64,36 @@ def test_options_are_the_task_s(tmp_path):
 
 @pytest.mark.parametrize("path", sorted(RECIPES.glob("*.toml")), ids=lambda p: p.stem)
 def test_our_own_recipes_load(path):
-    from lambent.learn import photo, rendered
+    from lambent.learn.rendered import RenderedNetwork
     from lambent.learn.tasks import TASKS
 
     recipe = load_train_recipe(path)
-    assert recipe.task in TASKS
+    entry = TASKS[recipe.task]
     assert recipe.data
+    options = entry.options_from(recipe.options)
     if recipe.task == "photo":
-        assert photo.options_for(recipe).patch < 64
-    elif recipe.task in rendered.NETWORKS:
-        network = rendered.NETWORKS[recipe.task](rendered.options_for(recipe))
-        assert network.reach() < 256
+        assert options.patch < 64
+    elif issubclass(entry.network, RenderedNetwork):
+        assert entry.network(options).reach() < 256
+
+
+def test_ranges_are_the_entry_s_own(tmp_path):
+    """And name fields that the options have; what is wrong is said before any data are made."""
+    from dataclasses import fields
+
+    from lambent.learn.recipe import train_recipe_from
+    from lambent.learn.tasks import TASKS
+    from lambent.learn.train import train
+
+    for name in TASKS:
+        known = {field.name for field in fields(TASKS[name].options)}
+        assert {key for key, _, _ in TASKS[name].ranges} <= known
+        with pytest.raises(OptionError, match="no key 'colour_of_the_wall'"):
+            TASKS[name].options_from({"colour_of_the_wall": 1})
+    TASKS["blocks"].options_from({"patch": 64})
+    settings = {"name": "x", "task": "kpcn", "data": ["none.toml"], "options": {"kernel": 99}}
+    with pytest.raises(OptionError, match="kernel = 99 is out of range"):
+        train(train_recipe_from(settings), tmp_path / "run")
 
 
 def test_a_set_that_is_named_by_its_recipe_is_made_first(tmp_path, monkeypatch):
@@ -106,4 +125,4 @@ def test_every_task_asks_for_data(task, tmp_path):
     from lambent.learn.tasks import TASKS
 
     with pytest.raises(OptionError, match="names no data"):
-        TASKS[task](train_recipe_from({"name": "x", "task": task}), tmp_path)
+        TASKS[task].make(train_recipe_from({"name": "x", "task": task}), tmp_path)

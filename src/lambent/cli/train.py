@@ -27,8 +27,8 @@ from lambent.cli.progress import Progress
 from lambent.cli.terminal import remark, say
 
 if TYPE_CHECKING:
-    from lambent.learn.loop import Run
     from lambent.learn.recipe import TrainRecipe
+    from lambent.training.run import Run
 
 #: Seconds that fine-tuning takes at most, unless --time says otherwise.
 FINE_TUNING = 600.0
@@ -37,9 +37,13 @@ EPILOG = "Example: lambent train recipes/train/denoiser.toml --report"
 
 
 def train(
-    recipe: Annotated[
-        Path | None,
-        typer.Argument(metavar="[RECIPE]", help="A TOML file; leave it out to fine-tune."),
+    recipes: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[RECIPE | average RUN...]",
+            help="A TOML file; none to fine-tune. average: the mean of the weights of several runs "
+            "(folders) or models, to the output.",
+        ),
     ] = None,
     run: Annotated[
         Path | None,
@@ -96,10 +100,12 @@ def train(
     from lambent.frame.atomic import check_target
 
     try:
+        from lambent.learn.averaging import average
         from lambent.learn.finetune import finetune
-        from lambent.learn.loop import Run, use_threads
         from lambent.learn.train import run_folder
         from lambent.learn.train import train as run_training
+        from lambent.training.process import use_threads
+        from lambent.training.run import Run
     except ImportError as error:
         stop_by_interrupt(error)
         if (error.name or "").split(".")[0] != "torch":
@@ -110,6 +116,15 @@ def train(
         ) from error
     from lambent.learn.recipe import load_train_recipe
 
+    if recipes and str(recipes[0]) == "average":
+        if output is None:
+            raise OptionError("a mean needs a place for the model", remedy="-o mine.lambent")
+        card = average([str(source) for source in recipes[1:]], output, overwrite)
+        print_json(card) if as_json else say(f"wrote {output}; its score is not measured")
+        return
+    if len(recipes or ()) > 1:
+        raise OptionError("one recipe at a time", remedy="lambent train RECIPE.toml")
+    recipe = recipes[0] if recipes else None
     seconds = seconds_of("--time", time)
     if data and output is None:
         output = data[0].with_name(f"{data[0].stem}_tuned.lambent")
@@ -152,7 +167,7 @@ def train(
     if int(os.environ.get("RANK", 0)):  # by torchrun: the first process tells
         return
     watch.write_page(running=False)
-    checks = [line for line in done.lines() if "check" in line]
+    checks = done.checks()
     best = min(checks, key=lambda line: line["check"]["score"]) if checks else None
     if as_json:
         written = {"output": output and str(output), "report": page and str(page)}
@@ -199,7 +214,7 @@ class _Watch:
         from lambent.report.training import write_training
 
         pictures = []
-        for file in sorted((self.run.folder / "pictures").glob("*.png")):
+        for file in sorted(self.run.pictures.glob("*.png")):
             data = file.read_bytes()
             pictures.append((data, Image.open(io.BytesIO(data)).size))
         steps, lines = self.recipe.steps, self.run.lines()

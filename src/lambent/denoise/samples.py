@@ -19,7 +19,7 @@ crops of the training data fall with the samples n as
 
 whose inverse is the guess, held to [1, `MOST`]. Texture raises σ, so a frame is taken for noisier
 than it is, not for cleaner. The network is told the guess in place of the samples, and that it is
-one, as it was in training with guesses of crops (`learn.resident`). Frames of 1 and 4 samples would
+one, as it was in training with guesses of crops (`learn.batches`). Frames of 1 and 4 samples would
 be 3 % better off without, those of 16 and more up to twice as bad (docs/notes/denoiser.md).
 """
 
@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lambent.denoise.inputs import SLOPE, Signals, albedo_of, divisor
+from lambent.denoise.inputs import SLOPE, albedo_of, divisor
 from lambent.filters.features import variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -51,15 +51,6 @@ def seeming_samples(frame: Frame, exposure: float) -> float | None:
     if frame.spp or variance_of(frame, Role.COLOUR) is not None:
         return None
     return guess(frame.colour, albedo_of(frame), exposure)
-
-
-def guessed(signals: Signals) -> float | None:
-    """The same of signals at the exposure that the network sees."""
-    if signals.spp or "colour_std" in signals.layers:
-        return None
-    albedo = signals.layers.get("albedo")
-    albedo = None if albedo is None else albedo.transpose(1, 2, 0)
-    return guess(signals.colour.transpose(1, 2, 0), albedo, 1.0)
 
 
 def guess(colour: FloatImage, albedo: FloatImage | None, exposure: float) -> float | None:

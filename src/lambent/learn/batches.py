@@ -1,163 +1,158 @@
-"""Batches without state: what row r of step t holds follows from the seed, t and r alone.
+"""Batches for Lambent's own network, made on whatever device it learns on.
 
-So a run that was stopped goes on with the very batches it would have seen, and two processes that
-share a batch see together what one would have seen.
+What a batch holds follows from seed, step and the number of the process, so a run that was stopped
+goes on with the very batches it would have seen. All rows of a batch are changed at once
+(`learn.changes`, `learn.lamps`, `learn.splat`): on a large GPU the network is done with a crop long
+before a processor has made the next one.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
-import queue
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import TypeVar
+import math
+from collections.abc import Callable
 
 import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from lambent.denoise.inputs import constants, divisor, encode, pack
-from lambent.denoise.samples import guessed
-from lambent.frame.layer import FloatImage
-from lambent.learn import lamps
-from lambent.learn.augment import Example, filtered, merged, recoloured, turned, without_some
-from lambent.learn.cache import Cached
+from lambent.denoise import samples
+from lambent.denoise.inputs import MASKS, OFFSET, Signals, divisor, encode, pack
+from lambent.learn import changes, lamps, splat
+from lambent.learn.rows import NAMES, PLANES, Rows, layer_of, random
+from lambent.learn.stills import Stills
 
-T = TypeVar("T")
-
-#: Share of the frames that get a splatted pixel filter.
+#: Share of the rows that get a splatted pixel filter.
 SPLATTED = 0.2
-#: Share of the frames that are trained for least error (preference 0).
+#: Share of the rows that are trained for least error (preference 0).
 NEUTRAL = 0.5
-#: Samples from which on all are in one bin.
-HIGHEST = 64
-#: Share of the examples whose levels are put together.
-MERGED = 0.4
+#: Share of the batches that are at half size.
+SHRUNK = 0.35
+#: Smaller crops than this are not made: a pixel of the coarsest scale is 16 wide.
+LEAST = 64
 
 
-@dataclass(frozen=True)
-class Row:
-    """One example, ready for the network: see `denoise.inputs`.
+def batch_of(
+    stills: Stills, seed: int, step: int, size: int, rank: int = 0
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """A batch for the network: packed inputs, colour, divisor, target, deviation, preference.
 
-    ``packed`` ``(CHANNELS, H/2, W/2)``; ``colour``, ``divisor``, ``target`` ``(3, H, W)``;
-    ``deviation`` ``(1, H, W)`` of the target; ``preference`` λ. Of fine-tuning alone: whether the
-    target is as noisy as the input, and relMSE's ε at the row's exposure.
+    Shapes as in `learn.denoising.Batch`; a shrunk one has 4 B crops. The same for the same seed,
+    step and stills.
     """
+    dev = stills.device
+    numbers = np.random.SeedSequence((seed, step, rank)).generate_state(2)
+    rng = torch.Generator(dev).manual_seed(int(numbers[0]))
+    if numbers[1] < SHRUNK * 2**32 and stills.edge >= 2 * LEAST:
+        size *= 4
+        rows = changes.shrunk(stills.rows(size, rng))
+    else:
+        rows = stills.rows(size, rng)
+    rows = changes.turned(rows, rng)
+    _some(rows, changes.COLLAGED, rng, changes.collaged)
+    _some(rows, changes.THINNED, rng, changes.thinned)
+    _some(rows, changes.SHADED, rng, changes.shaded)
+    _some(rows, changes.EMBOSSED, rng, changes.embossed)
+    _some(rows, changes.HAZED, rng, changes.hazed)
+    _some(rows, lamps.SHARE, rng, lamps.lit)
+    spp = rows.spp.clone()
+    _some(rows, SPLATTED, rng, splat.filtered)
+    changes.recoloured(rows, rng)
+    _some(rows, changes.PAINTED, rng, changes.painted)
+    masks, spp = changes.without_some(rows, spp, rng)
+    neutral = random(size, 2, rng)
+    preference = torch.where(neutral[:, 0] < NEUTRAL, 0.0, neutral[:, 1])
+    return ready(rows, masks, spp, preference)
 
-    packed: FloatImage
-    colour: FloatImage
-    divisor: FloatImage
-    target: FloatImage
-    deviation: FloatImage
-    preference: float
-    spp: float
-    noisy_target: bool = False
-    epsilon: float = 0.0
 
+def ready(
+    rows: Rows,
+    masks: Tensor,
+    spp: Tensor,
+    preference: Tensor,
+    guess: Tensor | None = None,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Rows as the network reads them; ``masks`` ``(B, len(MASKS))``, ``spp`` 0 where unknown.
 
-class Sampler:
-    """Draws levels of stills so that the number of samples is spread over its range.
-
-    The data have many crops of few samples and few of many. A bin of log2(spp) is drawn with a
-    weight proportional to the fourth root of what is in it: the rare ones nearly as often as the
-    others. From `HIGHEST` on all is one bin, so that a handful of crops is not learned by heart.
+    ``guess`` ``(B,)``: what spp seems to be, 0 where that is to be guessed from the rows.
     """
-
-    def __init__(self, stills: Sequence[Cached], lobes: bool = False) -> None:
-        self.stills, self.lobes = stills, lobes
-        bins: dict[int, list[tuple[int, int]]] = {}
-        for i, still in enumerate(stills):
-            for k, spp in enumerate(still.spp):
-                spp = min(max(spp, 1), HIGHEST)
-                bins.setdefault(int(np.log2(spp)), []).append((i, k))
-        self._bins = [bins[b] for b in sorted(bins)]
-        weights = np.array([len(b) for b in self._bins]) ** 0.25
-        self._weights = weights / weights.sum()
-
-    def draw(self, rng: np.random.Generator) -> Example:
-        """A level of a still, or several of its levels merged."""
-        which = self._bins[int(rng.choice(len(self._bins), p=self._weights))]
-        number, level = which[int(rng.integers(len(which)))]
-        levels, target, deviation = self.stills[number].load(self.lobes)
-        chosen = [levels[level]]
-        if rng.random() < MERGED:
-            chosen += [lv for k, lv in enumerate(levels) if k != level and rng.random() < 0.5]
-        return Example(merged(chosen), target, deviation)
-
-
-def row(sampler: Sampler, seed: int, step: int, number: int) -> Row:
-    """Row ``number`` of the batch of ``step``."""
-    rng = np.random.default_rng((seed, step, number))
-    example = turned(sampler.draw(rng), rng)
-    if rng.random() < lamps.SHARE:
-        example = lamps.lit(example, rng)
-    spp = float(example.noisy.spp or 1)
-    if rng.random() < SPLATTED:
-        example = filtered(example, rng)
-    example = without_some(recoloured(example, rng), rng)
-    preference = 0.0 if rng.random() < NEUTRAL else float(rng.random())
-    return ready(example, preference, spp)
+    shown = rows.there * _of_layers(masks)
+    albedo = torch.where(shown[:, :1, None, None] > 0, rows.layer("albedo"), 1 - OFFSET)
+    layers = {name: rows.layer(name) for name in NAMES} | {"albedo": albedo}
+    colour = rows.planes[:, :3]
+    d = divisor(torch, albedo)
+    planes = encode(torch, Signals(colour, layers), 1.0)
+    keep = shown[:, layer_of(shown.device)[: PLANES - 3]]
+    keep = F.pad(F.pad(keep, (3, 0), value=1.0), (0, planes.shape[1] - PLANES))
+    flags = []
+    for of in MASKS.values():
+        parts = [shown[:, NAMES.index(n)] for n in of if n in NAMES]
+        flags.append(torch.stack(parts).amax(0) if parts else torch.zeros_like(spp))
+    size = torch.log2(spp.clamp_min(1)) / 10
+    unknown = (spp <= 0) & (shown[:, NAMES.index("colour_std")] <= 0)
+    seeming = guessed(colour / d, shown[:, 0] > 0)
+    if guess is not None:
+        seeming = torch.where(guess > 0, torch.log2(guess.clamp_min(1)), seeming)
+    size = torch.where(unknown, seeming / 10, size)
+    numbers = torch.stack([*flags, size, (spp > 0).float(), preference], 1)
+    packed = pack(torch, planes * keep[:, :, None, None], numbers)
+    target, deviation = rows.target[:, :3], rows.target[:, 3:4]
+    return packed, colour.contiguous(), d.contiguous(), target, deviation, preference
 
 
-def ready(example: Example, preference: float, spp: float) -> Row:
-    """An example as arrays for the network, with a guess of spp where it has none yet."""
-    noisy = example.noisy
-    if noisy.guess is None:
-        noisy = replace(noisy, guess=guessed(noisy))
-    albedo = noisy.layers.get("albedo")
-    d = np.ones_like(noisy.colour) if albedo is None else divisor(np, albedo)
-    numbers = constants(noisy, preference)
-    return Row(
-        pack(np, encode(np, noisy, 1.0), numbers).astype(np.float32),
-        noisy.colour,
-        d.astype(np.float32),
-        example.target,
-        example.deviation,
-        preference,
-        spp,
-    )
+def guessed(x: Tensor, with_albedo: Tensor) -> Tensor:
+    """`samples.guess` of rows: log2 of it ``(B,)``, 0 without evidence.
+
+    ``x`` ``(B, 3, H, W)``: light over the albedo; ``with_albedo`` ``(B,)``: whether there is one.
+    """
+    u = torch.log1p(samples.SLOPE * x.clamp_min(0)).mean(1)
+    across = u[:, :-2] + u[:, 2:] - 2 * u[:, 1:-1]
+    seen = (across[:, :, :-2] + across[:, :, 2:] - 2 * across[:, :, 1:-1]).abs().flatten(1)
+    differs = seen > samples.LEAST
+    ranked = seen.sort(1).values  # what does not differ comes first
+    count = differs.sum(1, keepdim=True)
+    at = seen.shape[1] - 1 - (0.25 * (count - 1).clamp_min(0)).round().long()
+    sigma = ranked.gather(1, at)[:, 0] / (6 * samples.QUARTILE)
+    (a, b), (c, d) = samples.WITH_ALBEDO, samples.WITHOUT
+    log = torch.log2(sigma.clamp_min(samples.LEAST / 10))
+    found = torch.where(with_albedo, (a - log) / b, (c - log) / d)
+    found = found.clamp(0, math.log2(samples.MOST))
+    return torch.where(count[:, 0] >= samples.ENOUGH, found, 0.0)
 
 
-def batches(
-    sampler: Sampler, seed: int, first: int, size: int, rank: int = 0, world: int = 1
-) -> Iterator[list[Row]]:
-    """The batches of step ``first`` and on; of each, the rows of process ``rank`` of ``world``."""
-    return ahead(lambda step, number: row(sampler, seed, step, number), first, size, rank, world)
+# ------------------------------------------------------------------- private
 
 
-def ahead(
-    make: Callable[[int, int], T], first: int, size: int, rank: int = 0, world: int = 1
-) -> Iterator[list[T]]:
-    """Batches of the rows ``make(step, number)``, made ahead so that the network does not wait."""
-    waiting: queue.Queue[list[T] | BaseException] = queue.Queue(3)
-    over = threading.Event()
+@functools.lru_cache(maxsize=8)
+def _mask_of(device: torch.device) -> Tensor:
+    """The number of the mask of each layer."""
+    names = list(MASKS)
+    of = [next(i for i, n in enumerate(names) if layer in MASKS[n]) for layer in NAMES]
+    return torch.tensor(of, device=device)
 
-    def put(thing: list[T] | BaseException) -> None:
-        while not over.is_set():
-            try:
-                return waiting.put(thing, timeout=0.2)
-            except queue.Full:
-                continue
 
-    def fill() -> None:
-        try:
-            with ThreadPoolExecutor(2) as pool:
-                for step in itertools.count(first):
-                    if over.is_set():
-                        return
-                    numbers = range(rank, size, world)
-                    put(list(pool.map(functools.partial(make, step), numbers)))
-        except BaseException as error:  # told to the one who waits
-            put(error)
+def _of_layers(masks: Tensor) -> Tensor:
+    """Masks ``(B, len(MASKS))`` to layers ``(B, len(NAMES))``; no deviation without its layer."""
+    found = masks[:, _mask_of(masks.device)]
+    for guide in ("albedo", "normal", "depth"):
+        found[:, NAMES.index(f"{guide}_std")] *= found[:, NAMES.index(guide)]
+    return found
 
-    thread = threading.Thread(target=fill, name="batches", daemon=True)
-    thread.start()
-    try:
-        while True:
-            found = waiting.get()
-            if isinstance(found, BaseException):
-                raise found
-            yield found
-    finally:
-        over.set()
+
+def _chosen(size: int, share: float, rng: torch.Generator) -> Tensor:
+    """The numbers of a random share of the rows."""
+    order = torch.argsort(random(1, size, rng)[0])
+    return order[: round(share * size)]
+
+
+def _some(
+    rows: Rows, share: float, rng: torch.Generator, change: Callable[[Rows, torch.Generator], None]
+) -> None:
+    """Change a random share of the rows."""
+    which = _chosen(len(rows.planes), share, rng)
+    if not len(which):
+        return
+    part = Rows(rows.planes[which], rows.there[which], rows.target[which], rows.spp[which])
+    change(part, rng)
+    rows.planes[which], rows.target[which], rows.there[which] = part.planes, part.target, part.there

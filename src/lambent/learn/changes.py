@@ -1,7 +1,11 @@
-"""What may be done to rows, all of a batch at once: `learn.augment` for tensors, and more.
+"""What may be done to rendered pictures so that they are other rendered pictures.
 
-`augment`, `lamps` and `splat` change one example; a test holds what is here to them. Seven changes
-are here alone, since a row at a time they would be too slow:
+Every change is made to all rows of a batch at once, to noisy frame and target alike, and each is
+something that a renderer could have produced: a mirrored or turned picture, another exposure,
+coloured light, channels in another order, paler or tinted textures (colour and albedo together:
+light that has left the surface once is proportional to its albedo). Normals get one random
+rotation, since the network must not know which way is up. Lamps and pixel filters are in
+`learn.lamps` and `learn.splat`; and there are
 
 - **paint**: all surfaces get another texture. Colour, target and albedo are multiplied by one
   picture, since light that has left the surface once is proportional to the albedo;
@@ -31,11 +35,17 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lambent.denoise.inputs import MASKS
-from lambent.learn import lamps
-from lambent.learn.augment import ALL, COLOUR, PLAIN, STOPS, TINT, UNTOLD
-from lambent.learn.rows import AT, MEANS, NAMES, PLANES, Rows, random
-from lambent.learn.splat import FILTERS, GROUPS
+from lambent.learn.rows import AT, MEANS, NAMES, Rows, random
 
+#: Exposure varies by up to so many stops either way.
+STOPS = 2.0
+#: Standard deviation of the logarithm of the gain of each channel: coloured light.
+TINT = 0.2
+#: Shares of the rows that keep all layers; albedo and normal, as most renderers write them; none.
+#: Where layers are few there is more to learn.
+ALL, PLAIN, COLOUR = 0.33, 0.25, 0.2
+#: Share of the rows whose samples are not told.
+UNTOLD = 0.5
 #: Share of the rows that get another texture, and another pattern of light.
 PAINTED, SHADED = 0.3, 0.3
 #: Share of the rows that get a relief, and of those that are laid over themselves.
@@ -68,13 +78,49 @@ def turned(rows: Rows, rng: torch.Generator) -> Rows:
     for axis in (2, 3):
         both = torch.where(dice[:, axis - 2, None, None, None], both.flip(axis), both)
     both = torch.where(dice[:, 2, None, None, None], both.transpose(2, 3), both)
-    rows = Rows(both[:, :PLANES], rows.there, both[:, PLANES:], rows.spp)
-    q = _rotations(size, rng)
+    count = rows.planes.shape[1]
+    rows = Rows(both[:, :count], rows.there, both[:, count:], rows.spp)
+    q = rotations(size, rng)
     turn = random(size, 1, rng)[:, :, None] < 0.5
     q = torch.where(turn, q, torch.eye(3, device=q.device))
     normal = rows.layer("normal").flatten(2)
     rows.planes[:, AT["normal"]] = torch.bmm(q, normal).unflatten(2, both.shape[2:])
     return rows
+
+
+def cut(rows: Rows, side: int, rng: torch.Generator) -> Rows:
+    """A square of each row, somewhere; all of it where it is smaller."""
+    height, width = rows.planes.shape[2:]
+    tall, wide = min(side, height), min(side, width)
+    places = random(len(rows.planes), 2, rng).tolist()
+    corners = [(int(y * (height - tall + 1)), int(x * (width - wide + 1))) for y, x in places]
+    planes, target = (
+        torch.stack(
+            [p[:, y : y + tall, x : x + wide] for p, (y, x) in zip(of, corners, strict=True)]
+        )
+        for of in (rows.planes, rows.target)
+    )
+    return Rows(planes, rows.there, target, rows.spp)
+
+
+def exposed(rows: Rows, stops: float, rng: torch.Generator) -> None:
+    """Another exposure by up to so many stops, and channels in another order, of rows with lobes.
+
+    One gain and one order for all radiance of a row: its parts still sum to its colour.
+    """
+    size = len(rows.planes)
+    gain = torch.exp2((random(size, 1, rng) * 2 - 1) * stops)[:, :, None, None]
+    swap = torch.argsort(random(size, 3, rng), 1)[:, :, None, None]
+    swap = swap.expand(-1, -1, *rows.planes.shape[2:])
+    for planes, of in (
+        (rows.planes, slice(0, 3)), (rows.planes, AT["albedo"]), (rows.planes, AT["diffuse"]),
+        (rows.planes, AT["diffuse_albedo"]), (rows.target, slice(0, 3)), (rows.target, slice(4, 7)),
+    ):  # fmt: skip
+        planes[:, of] = planes[:, of].gather(1, swap)
+    rows.planes[:, :3] *= gain
+    for name in ("colour_std", "diffuse", "diffuse_std", "specular_std"):
+        rows.planes[:, AT[name]] *= gain
+    rows.target *= gain
 
 
 def thinned(rows: Rows, rng: torch.Generator) -> None:
@@ -86,7 +132,7 @@ def thinned(rows: Rows, rng: torch.Generator) -> None:
     sample has light, as a renderer would say.
     """
     size = len(rows.planes)
-    p = _log_uniform(random(size, 1, rng), KEPT)[:, :, None, None]
+    p = log_uniform(random(size, 1, rng), KEPT)[:, :, None, None]
     n = rows.spp.round().clamp_min(1)[:, None, None, None]
     shape = (size, 1, *rows.planes.shape[2:])
     kept = torch.binomial(n.expand(shape).contiguous(), p.expand(shape).contiguous(), generator=rng)
@@ -107,7 +153,7 @@ def hazed(rows: Rows, rng: torch.Generator) -> None:
     """
     size = len(rows.planes)
     dice = random(size, 4, rng)
-    q = _log_uniform(dice[:, :1], IN_FOG)[:, :, None, None]
+    q = log_uniform(dice[:, :1], IN_FOG)[:, :, None, None]
     n = rows.spp.round().clamp_min(1)[:, None, None, None]
     shape = (size, 1, *rows.planes.shape[2:])
     k = torch.binomial(n.expand(shape).contiguous(), q.expand(shape).contiguous(), generator=rng)
@@ -219,8 +265,8 @@ def embossed(rows: Rows, rng: torch.Generator) -> None:
     steep = slope.square().sum(1, keepdim=True)
     # bounded: the edge of a panel is a bevel
     slope = slope / (steep + steep.mean((2, 3), keepdim=True) + 1e-8).sqrt()
-    slope = slope * _log_uniform(dice[:, 1:2], (0.1, 1.0))
-    along = _rotations(size, rng)[:, :2].transpose(1, 2)  # two directions in space
+    slope = slope * log_uniform(dice[:, 1:2], (0.1, 1.0))
+    along = rotations(size, rng)[:, :2].transpose(1, 2)  # two directions in space
     bent = torch.bmm(along, slope.flatten(2)).unflatten(2, (height, width))
     normal = rows.layer("normal")
     length = normal.norm(dim=1, keepdim=True)
@@ -312,90 +358,12 @@ def pattern(size: int, height: int, width: int, rng: torch.Generator) -> Tensor:
     return found[:, None]
 
 
-def lit(rows: Rows, rng: torch.Generator) -> None:
-    """One to `lamps.MOST` lamps before what is there: see `learn.lamps`."""
-    size, dev = len(rows.planes), rows.planes.device
-    height, width = rows.planes.shape[2:]
-    # what does not depend on what is behind, for all lamps at once
-    most = lamps.MOST
-    count = 1 + (random(size, 1, rng) * most).long()
-    on = (torch.arange(most, device=dev) < count).T.reshape(-1, 1, 1, 1).float()
-    dice = random(most * size, 16, rng)
-    covers = _lamp_cover(dice, height, width, rng) * on
-    levels = _log_uniform(dice[:, 8:9], lamps.RADIANCE)
-    tints = torch.exp(0.3 * torch.randn(most * size, 3, generator=rng, device=dev))
-    lights = (levels * tints / tints.mean(1, keepdim=True))[:, :, None, None]
-    normals = F.normalize(torch.randn(most * size, 3, generator=rng, device=dev), dim=1)
-    n = rows.spp.round().clamp_min(1)[:, None, None, None]
-    counts = n.repeat(most, 1, 1, 1).expand_as(covers).contiguous()
-    hits = torch.binomial(counts, covers.clamp(0, 1), generator=rng) / counts
-    spreads = hits * (1 - hits) / (counts - 1).clamp_min(1)
-    parts = (part.split(size) for part in (dice, covers, lights, normals, hits, spreads))
-    for p, cover, radiance, normal, hit, spread in zip(*parts, strict=True):
-        rest = 1 - hit
-
-        def behind(name: str, step: Tensor, rest: Tensor = rest, spread: Tensor = spread) -> None:
-            there = rows.layer(name) * rest
-            rows.planes[:, AT[name]] = (there * there + spread * step * step).sqrt()
-
-        colour = rows.planes[:, :3]
-        behind("colour_std", (radiance - colour).abs().mean(1, keepdim=True))
-        own = (p[:, 9] < 0.5).float()[:, None, None, None]
-        grey = (p[:, 10:11] * 3).floor() / 2
-        near = rows.layer("depth").amin((2, 3)) + 0.2 * p[:, 11:12] - 0.1
-        for name, value in (
-            ("albedo", grey.expand(-1, 3)), ("normal", normal),
-            ("roughness", torch.ones_like(grey)), ("depth", near.clamp(-1, 1)),
-        ):  # fmt: skip
-            value = value[:, :, None, None]
-            there = rows.layer(name)
-            if f"{name}_std" in AT:
-                step = (value - there).abs().mean(1, keepdim=True)
-                behind(f"{name}_std", step, 1 - own * hit, own * spread)
-            rows.planes[:, AT[name]] = torch.lerp(there, value.expand_as(there), own * hit)
-        rows.planes[:, :3] = colour * rest + hit * radiance
-        rows.target[:, :3] = rows.target[:, :3] * (1 - cover) + cover * radiance
-        rows.target[:, 3:] *= 1 - cover
-
-
-def filtered(rows: Rows, rng: torch.Generator) -> None:
-    """As a renderer writes that splats samples: see `learn.splat`. Deviations are not known."""
-    size, dev = len(rows.planes), rows.planes.device
-    kind = (random(size, 1, rng) * len(FILTERS)).long()[:, :, None, None]
-    image = rows.planes[:, MEANS]
-    height, width = image.shape[2:]
-    reach = 2
-    steps = torch.arange(-reach, reach + 1, device=dev, dtype=torch.float32)[None, :, None, None]
-    shape, side = (height + 2 * reach, width + 2 * reach), 2 * reach + 1
-    # all samples of a pixel have its value: their weights add up before they are spread
-    at = torch.rand(2, size * GROUPS, 1, height, width, generator=rng, device=dev) - 0.5
-    kinds = kind.repeat_interleave(GROUPS, 0)
-    down, across = _filter(steps - at[0], kinds), _filter(steps - at[1], kinds)
-    w = (down[:, :, None] * across[:, None]).flatten(1, 2)  # (n · GROUPS, 25, H, W)
-    there = torch.arange(GROUPS, device=dev) < rows.spp[:, None]
-    w = (w.unflatten(0, (size, GROUPS)) * there[:, :, None, None, None]).sum(1)
-    both = torch.cat([image, torch.ones_like(image[:, :1])], 1)
-    spread = (both[:, :, None] * w[:, None]).flatten(1, 2).flatten(2)
-    folded = F.fold(spread, shape, side)[:, :, reach:-reach, reach:-reach]
-    total, weight = folded[:, :-1], folded[:, -1:]
-    rows.planes[:, MEANS] = total / torch.where(weight.abs() < 0.05, 0.05, weight)
-    fine = (torch.arange(64, device=dev) + 0.5) / 64 - 0.5
-    line = _filter(steps - fine[None, None, :, None], kind).mean((2, 3))  # (n, 5)
-    plane = (line[:, :, None] * line[:, None])[:, None]
-    stack = torch.cat([rows.target, torch.ones_like(weight)], 1)
-    kernel = plane.expand(-1, stack.shape[1], -1, -1).flatten(0, 1)[:, None]
-    blurred = F.conv2d(
-        stack.flatten(0, 1)[None], kernel, padding=reach, groups=len(kernel)
-    ).unflatten(1, stack.shape[:2])[0]
-    rows.target[:] = blurred[:, :-1] / blurred[:, -1:]
-    rows.target[:, 3:].clamp_min_(0)
-    for i, name in enumerate(NAMES):
-        if name.endswith("_std"):
-            rows.there[:, i] = 0
-
-
 def without_some(rows: Rows, spp: Tensor, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Masks ``(B, len(MASKS))`` as `augment.without_some` draws them, and spp, 0 if unknown."""
+    """Masks ``(B, len(MASKS))`` of the layers that are kept, and spp, 0 if unknown.
+
+    One network shall serve every subset of layers: `ALL`, `PLAIN`, `COLOUR`; the rest lose each
+    mask's layers by chance.
+    """
     size = len(rows.planes)
     names = list(MASKS)
     kind = random(size, 1, rng)
@@ -410,7 +378,7 @@ def without_some(rows: Rows, spp: Tensor, rng: torch.Generator) -> tuple[Tensor,
 # ------------------------------------------------------------------- private
 
 
-def _rotations(size: int, rng: torch.Generator) -> Tensor:
+def rotations(size: int, rng: torch.Generator) -> Tensor:
     """Orthogonal 3x3 matrices, mirrors among them, uniform: unit quaternions (Shoemake 1992)."""
     q = F.normalize(torch.randn(size, 4, generator=rng, device=rng.device), dim=1)
     w, x, y, z = q.unbind(1)
@@ -433,39 +401,7 @@ def _dots(u: Tensor, v: Tensor, duty: Tensor) -> Tensor:
     return duty / 2 - torch.hypot(u - u.round(), v - v.round())
 
 
-def _log_uniform(p: Tensor, bounds: tuple[float, float]) -> Tensor:
+def log_uniform(p: Tensor, bounds: tuple[float, float]) -> Tensor:
+    """Uniform numbers as ones whose logarithm is uniform within bounds."""
     low, high = (math.log(b) for b in bounds)
     return torch.exp(low + (high - low) * p)
-
-
-def _lamp_cover(p: Tensor, height: int, width: int, rng: torch.Generator) -> Tensor:
-    """The share of each pixel that a lamp covers ``(B, 1, H, W)``: `lamps.draw`, 4x4 places."""
-    size, dev, fine = len(p), p.device, 4
-    half = _log_uniform(p[:, :2], lamps.SIZE)
-    half = torch.where(p[:, 2:3] < 0.4, half[:, :1], half)
-    tube = p[:, 3:4] < 0.15
-    half = torch.where(tube, half * torch.tensor([0.5, 4.0], device=dev), half)
-    power = torch.where(p[:, 4] < 0.6, 2.0, torch.where(p[:, 4] < 0.7, 1.0, 16.0))
-    angle = p[:, 5] * math.pi
-    jitter = torch.rand(2, size, 1, 1, generator=rng, device=dev)
-    y = torch.arange(height * fine, device=dev)[None, :, None] + jitter[0]
-    x = torch.arange(width * fine, device=dev)[None, None, :] + jitter[1]
-    y = y / fine - (p[:, 6] * height)[:, None, None]
-    x = x / fine - (p[:, 7] * width)[:, None, None]
-    cos, sin = torch.cos(angle)[:, None, None], torch.sin(angle)[:, None, None]
-    power = power[:, None, None]
-    u = ((cos * y + sin * x) / half[:, :1, None]).abs()
-    v = ((cos * x - sin * y) / half[:, 1:, None]).abs()
-    inside = (u.clamp_max(2) ** power + v.clamp_max(2) ** power <= 1).float()
-    return F.avg_pool2d(inside[:, None], fine)
-
-
-def _filter(t: Tensor, kind: Tensor) -> Tensor:
-    """`splat.FILTERS` of a distance, each row its own."""
-    a = t.abs()
-    tent = (1 - a).clamp_min(0)
-    gaussian = (torch.exp(-2 * a * a) - math.exp(-8)).clamp_min(0)
-    near = (7 * a**3 - 12 * a**2 + 16 / 3) / 6
-    far = (-7 / 3 * a**3 + 12 * a**2 - 20 * a + 32 / 3) / 6
-    mitchell = torch.where(a < 1, near, torch.where(a < 2, far, 0.0))
-    return torch.where(kind == 0, tent, torch.where(kind == 1, gaussian, mitchell))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +14,27 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lambent.denoise.inputs import CHANNELS, MASKS, Signals
+from lambent.denoise.inputs import CHANNELS, MASKS
 from lambent.errors import EngineError, OptionError
 from lambent.frame.layer import FloatImage
 from lambent.learn import lamps, losses
-from lambent.learn.augment import Example
-from lambent.learn.batches import Row, Sampler, batches, ready, row
+from lambent.learn.batches import batch_of, ready
 from lambent.learn.cache import Cached, stills_of
 from lambent.learn.follow import Follower
 from lambent.learn.held_out import about_sets, by_oidn, errors_of, is_held_out, parted, spread
 from lambent.learn.networks.lambent import WIDTHS, LambentNet, denoised
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.resident import Residents, batch_of
-from lambent.learn.task import Exportable, Pictures
-from lambent.settings import record_from
+from lambent.learn.rows import Rows, generator, rows_of
+from lambent.learn.stills import Stills
+from lambent.learn.task import Exportable, Learnable, ShippedTask
+from lambent.training.task import Pictures, RecordableTask, Weights
 
 #: Subsets of layers that a network is scored with.
 SUBSETS = {"full": tuple(MASKS), "plain": ("albedo", "normal"), "colour": ()}
 #: Where few, some and many samples begin.
 BANDS = (1, 8, 64)
-#: Rows that int8 is calibrated with.
+#: Rows that int8 is calibrated with, in batches of 16.
 CALIBRATION = 128
 #: Batches that a GPU makes at once: for each alone it waits for the launches of a thousand kernels.
 TOGETHER = {"cuda": 4}
@@ -48,18 +48,20 @@ class Options:
 
     ``int8``: train with weights and activations rounded as int8 rounds them, to be begun with the
     weights of a float run (``--from``). ``follow``: take in crops that are added to the data while
-    the run goes on; the run then cannot be repeated exactly. ``resident``: keep the crops in the
-    device's memory and make batches there (`learn.resident`); always so on CUDA.
+    the run goes on; the run then cannot be repeated exactly.
     """
 
     int8: bool = False
     follow: bool = False
-    resident: bool = False
 
 
 @dataclass
 class Batch:
-    """Rows put together: see `batches.Row`."""
+    """Rows as the network reads them: see `batches.ready`, and `denoise.inputs`.
+
+    ``packed`` ``(B, CHANNELS, H/2, W/2)``, channels last; ``colour``, ``divisor``, ``target``
+    ``(B, 3, H, W)``; ``deviation`` ``(B, 1, H, W)`` of the target; ``preference`` λ ``(B,)``.
+    """
 
     packed: Tensor
     colour: Tensor
@@ -69,20 +71,9 @@ class Batch:
     preference: Tensor
 
     @classmethod
-    def of(cls, rows: list[Row], device: torch.device) -> Batch:
-        """Rows as tensors on a device; the packed inputs channels last."""
-
-        def stack(name: str) -> Tensor:
-            return torch.from_numpy(np.stack([getattr(r, name) for r in rows])).to(device)
-
-        return cls(
-            stack("packed").to(memory_format=torch.channels_last),
-            stack("colour"),
-            stack("divisor"),
-            stack("target"),
-            stack("deviation"),
-            torch.tensor([r.preference for r in rows], device=device),
-        )
+    def of(cls, packed: Tensor, *rest: Tensor) -> Batch:
+        """What `batches.batch_of` and `batches.ready` make."""
+        return cls(packed.contiguous(memory_format=torch.channels_last), *rest)
 
 
 def cleaned(model: nn.Module, b: Batch) -> Tensor:
@@ -108,28 +99,35 @@ def denoising_task(
     return task
 
 
-class DenoisingTask:
-    """Learn to filter: `Task` for `LambentNet`. ``device``: where the loop computes.
+class DenoisingTask(RecordableTask, ShippedTask):
+    """Learn to filter: `Task` for `LambentNet`.
 
     Raises `OptionError` for a size that there is not, and for too few scenes.
     """
 
     def __init__(self, recipe: TrainRecipe, stills: Sequence[Cached]) -> None:
-        self.recipe, self.device = recipe, "cpu"
-        self.options: Options = record_from(Options, dict(recipe.options))
+        self.recipe = recipe
+        self.options: Options = DENOISE.options_from(recipe.options)
         if recipe.size not in WIDTHS:
             raise OptionError(
                 f"there is no size '{recipe.size}'", remedy=f"take one of {', '.join(WIDTHS)}"
             )
         kept, held = parted(stills, recipe.held_out)
-        self.train = Sampler(kept)
+        self._kept = kept
+        self._made: Stills | None = None
         self.checked = spread(held or kept, recipe.checked)
         self._yardstick: dict[str, float] | None = None
-        self._residents: Residents | None = None
         self._place: Path | None = None
         self._follower: Follower | None = None
         self._looked = 0.0
         self._drawn: tuple[int, list[tuple[Tensor, ...]]] | None = None
+
+    @property
+    def stills(self) -> Stills:
+        """What is learned from, on the device."""
+        if self._made is None:
+            self._made = Stills(self._kept, self.device)
+        return self._made
 
     def network(self) -> nn.Module:
         """A fresh network of the recipe's size."""
@@ -137,7 +135,7 @@ class DenoisingTask:
             return RoundedNet(self.recipe.size)
         return LambentNet(self.recipe.size)
 
-    def started(self, weights: Mapping[str, Tensor] | None) -> Mapping[str, Tensor] | None:
+    def started(self, weights: Weights | None) -> Weights | None:
         """Weights to begin with: for int8, those of a float run with steps that fit the data.
 
         Raises `OptionError` where an int8 run has none.
@@ -150,18 +148,8 @@ class DenoisingTask:
             )
         model = RoundedNet(self.recipe.size)
         model.load_state_dict(dict(weights), strict=False)
-        model.fit(self._measured_on(model))
+        model.to(self.device).fit(self._packed(CALIBRATION // 2))
         return model.state_dict()
-
-    def _measured_on(self, model: RoundedNet) -> Tensor:
-        """Packed inputs to begin the steps of int8 with, where they are quick to make."""
-        count, seed = CALIBRATION // 2, self.recipe.seed + 1
-        if self.device == "cuda":
-            model.cuda()
-            self._residents = Residents(self.train.stills, torch.device("cuda"))
-            return batch_of(self._residents, seed, 0, count)[0]
-        rows = [row(self.train, seed, 0, n).packed for n in range(count)]
-        return torch.from_numpy(np.stack(rows))
 
     def follow(self, place: Path) -> None:
         """Take in what is added to the data from now on, and unpacked below ``place``."""
@@ -173,51 +161,33 @@ class DenoisingTask:
         if self._follower is not None:
             self._follower.close()
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[Any]:
-        """This process's share of each batch: rows, or its number where batches are made later."""
-        if not self._on_device():
-            return batches(self.train, self.recipe.seed, first, self.recipe.batch, rank, world)
-        return ((step, rank, self.recipe.batch // world) for step in itertools.count(first))
+    def batches(self, first: int, rank: int, world: int) -> Generator[Any, None, None]:
+        """The numbers of a process's share of each batch, which `tensors` makes."""
+        for step in itertools.count(first):
+            yield step, rank, self.recipe.batch // world
 
-    def loss(
-        self, model: nn.Module, batch: Any, device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
-        return self.loss_of(model, self.tensors(batch, device))
-
-    def tensors(self, batch: Any, device: torch.device) -> tuple[Tensor, ...]:
-        """A batch as the fields of a `Batch`, on the device."""
-        b = Batch.of(batch, device) if isinstance(batch, list) else self._made(batch, device)
+    def tensors(self, batch: tuple[int, int, int]) -> tuple[Tensor, ...]:
+        """The fields of a `Batch`, on the device."""
+        step, rank, size = batch
+        if self._place is not None and time.monotonic() - self._looked > LOOK_EVERY:
+            self._looked = time.monotonic()
+            stills = stills_of(self.recipe, self._place, unpack=False)
+            self.stills.add([s for s in stills if not is_held_out(s.scene, self.recipe.held_out)])
+        together = TOGETHER.get(torch.device(self.device).type, 1)
+        draw, part = divmod(step, together)
+        if self._drawn is None or self._drawn[0] != draw:
+            made = batch_of(self.stills, self.recipe.seed, draw, size * together, rank)
+            self._drawn = draw, [t.chunk(together) for t in made]
+        b = Batch.of(*(chunks[part] for chunks in self._drawn[1]))
         return tuple(getattr(b, field.name) for field in fields(Batch))
 
     def loss_of(
         self, model: nn.Module, tensors: Sequence[Tensor]
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of `tensors`: nothing in it asks the device for a number."""
+        """The loss of `losses.denoising`; the network in bf16, the filter in float32."""
         b = Batch(*tensors)
         x = cleaned(model, b)
         return losses.denoising(x, b.target, b.colour, b.deviation, b.preference)
-
-    def _on_device(self) -> bool:
-        return self.options.resident or self.device == "cuda"
-
-    def _made(self, batch: tuple[int, int, int], device: torch.device) -> Batch:
-        step, rank, size = batch
-        if self._residents is None:
-            self._residents = Residents(self.train.stills, device)
-        if self._place is not None and time.monotonic() - self._looked > LOOK_EVERY:
-            self._looked = time.monotonic()
-            stills = stills_of(self.recipe, self._place, unpack=False)
-            self._residents.add(
-                [s for s in stills if not is_held_out(s.scene, self.recipe.held_out)]
-            )
-        together = TOGETHER.get(device.type, 1)
-        draw, part = divmod(step, together)
-        if self._drawn is None or self._drawn[0] != draw:
-            made = batch_of(self._residents, self.recipe.seed, draw, size * together, rank)
-            self._drawn = draw, [t.chunk(together) for t in made]
-        packed, *rest = (chunks[part] for chunks in self._drawn[1])
-        return Batch(packed.contiguous(memory_format=torch.channels_last), *rest)
 
     def exportable(self, model: nn.Module) -> Exportable:
         """The network, reading packed signals."""
@@ -232,7 +202,13 @@ class DenoisingTask:
 
     def calibration(self) -> list[FloatImage]:
         """Packed inputs to measure the ranges of activations on: training rows as they come."""
-        return [row(self.train, self.recipe.seed + 1, 0, n).packed for n in range(CALIBRATION)]
+        return list(self._packed(CALIBRATION).cpu().numpy())
+
+    def _packed(self, count: int) -> Tensor:
+        """Packed inputs of so many training rows, which no batch has."""
+        parts = [batch_of(self.stills, self.recipe.seed + 1, n, 16)[0] for n in range(count // 16)]
+        edge = min(part.shape[2] for part in parts)
+        return torch.cat([part[:16, :, :edge, :edge] for part in parts])
 
     def about_data(self) -> list[dict[str, Any]]:
         """For the card: what each data set is, how much of it, made of what."""
@@ -241,7 +217,7 @@ class DenoisingTask:
     # ------------------------------------------------------------- validation
 
     @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Errors on held-out crops for each subset of layers, and as ratios to OIDN High's.
 
         Where OIDN is not installed: to those of the noisy input.
@@ -256,16 +232,14 @@ class DenoisingTask:
         for subset in SUBSETS:
             errors = []
             for example, spp in self.checked:
-                r = ready(_only(example, subset), 0.0, spp)
-                b = Batch.of([r], device)
-                x = cleaned(model, b)[0].float().cpu().numpy()
+                x = self._clean(model, rows_of([example], self.device), subset)
                 errors.append(errors_of(x, example))
                 if subset == "full" and len(pictures) < 8:
                     row = [example.noisy.colour, x, example.target]
                     name = f"{spp:g} spp"
                     pictures[f"{len(pictures)}: {name}"] = np.concatenate(row, 2).transpose(1, 2, 0)
             self._put(found, subset, errors)
-        found["lamps"] = self._lamps_kept(model, device)
+        found["lamps"] = self._lamps_kept(model)
         by = "noisy" if self._yardstick.get("noisy") else "oidn"
         logs = []
         for subset in SUBSETS:
@@ -277,19 +251,27 @@ class DenoisingTask:
         found["score"] = float(np.exp(np.mean(logs)))
         return found, pictures
 
-    def _lamps_kept(self, model: nn.Module, device: torch.device) -> float:
+    def _clean(self, model: nn.Module, rows: Rows, subset: str) -> FloatImage:
+        """What the network makes of one row ``(3, H, W)``, with the layers of a subset."""
+        masks = torch.tensor([[float(n in SUBSETS[subset]) for n in MASKS]], device=self.device)
+        spp = rows.spp if subset == "full" else torch.zeros_like(rows.spp)
+        b = Batch.of(*ready(rows, masks, spp, torch.zeros_like(spp)))
+        clean: FloatImage = cleaned(model, b)[0].float().cpu().numpy()
+        return clean
+
+    def _lamps_kept(self, model: nn.Module) -> float:
         """Mean over lamps of kept light, more than all of it counted as all, for every subset."""
         kept = []
-        for number, (example, spp) in enumerate(self.checked):
-            rng = np.random.default_rng(number)
-            lamp = lamps.draw(example.target.shape[1:], rng)
-            lit = lamps.add(example, lamp, rng)
-            hit = lit.noisy.colour.mean(0) > 0.5 * lamp.radiance.mean()
-            if not hit.any():
-                continue
-            r = ready(_only(lit, list(SUBSETS)[number % len(SUBSETS)]), 0.0, spp)
-            x = cleaned(model, Batch.of([r], device))[0].float().cpu().numpy()
-            kept.append(min(1.0, float(x[:, hit].sum() / lit.noisy.colour[:, hit].sum())))
+        for number, (example, _) in enumerate(self.checked):
+            rows, rng = rows_of([example], self.device), generator(self.device, number)
+            height, width = rows.planes.shape[2:]
+            lamp = lamps.draw(1, height, width, rng)
+            lamps.add(rows, lamp, rng)
+            noisy = rows.planes[0, :3].cpu().numpy()
+            hit = noisy.mean(0) > 0.5 * float(lamp.radiance.mean())
+            if hit.any():
+                x = self._clean(model, rows, list(SUBSETS)[number % len(SUBSETS)])
+                kept.append(min(1.0, float(x[:, hit].sum() / noisy[:, hit].sum())))
         return float(np.mean(kept)) if kept else 1.0
 
     def _oidn(self) -> dict[str, float]:
@@ -319,16 +301,10 @@ class DenoisingTask:
                 found[f"{subset} smape from {low} spp"] = float(smape[within].mean())
 
 
+DENOISE = Learnable(Options, (), LambentNet, denoising_task)
+
+
 # ------------------------------------------------------------------- private
-
-
-def _only(example: Example, subset: str) -> Example:
-    """An example with the layers of a subset."""
-    names = {layer for mask in SUBSETS[subset] for layer in MASKS[mask]}
-    noisy: Signals = example.noisy
-    kept = {name: layer for name, layer in noisy.layers.items() if name in names}
-    spp = noisy.spp if subset == "full" else None
-    return replace(example, noisy=replace(noisy, layers=kept, spp=spp))
 
 
 def _names(found: Mapping[str, float], subset: str) -> list[str]:

@@ -25,11 +25,12 @@ from torch import nn
 from lambent.denoise.inputs import CHANNELS
 from lambent.denoise.model_file import find_model, read_model, write_model
 from lambent.denoise.openvino import openvino, silent
-from lambent.errors import LambentError, OptionError
+from lambent.errors import LambentError
 from lambent.frame.layer import FloatImage
-from lambent.learn.loop import Run
+from lambent.learn.account import account, before
 from lambent.learn.networks.rounded import HIGHEST, RoundedNet, step_after
 from lambent.learn.task import Exportable, ShippedTask
+from lambent.training.run import Run
 
 
 def export(
@@ -98,7 +99,7 @@ def export_run(
     model = task.network()
     model.load_state_dict(run.weights())
     ready = task.exportable(model.eval())
-    told = run.told()
+    told = account(run)
     card = {
         **told,
         "score_says": task.says(told["score"]),
@@ -109,8 +110,8 @@ def export_run(
     }
     if failures := told["recipe"].pop("known_failures", None):
         card["known_failures"] = failures
-    if before := run.before():
-        card["begun_with"] = before
+    if earlier := before(run):
+        card["begun_with"] = earlier
     examples = task.calibration() if int8 else None
     export(ready.network, path, card, examples, overwrite, not int8, ready.examples)
     return card
@@ -177,39 +178,6 @@ def float_weights(model: str, steps: bool = False) -> dict[str, torch.Tensor]:
                 with contextlib.suppress(LambentError):  # a sum of features, no bias
                     found[f"{name}.bias"] = torch.from_numpy(_value(bias).reshape(-1).copy())
     return found
-
-
-def average(models: Sequence[str], path: Path, overwrite: bool = False) -> dict[str, Any]:
-    """The mean of the weights of models of one size that began alike, as a model file; its card.
-
-    Between a network and what fine-tuning made of it lies often one that has the gain of the one
-    and most of the other's (Wortsman et al. 2022, "Model soups"). The first model's card is kept,
-    with all of them under ``averaged``. Raises `FileError`, `OptionError`, `OutputError`.
-    """
-    from lambent.learn.networks.lambent import LambentNet
-
-    if len(models) < 2:
-        raise OptionError("a mean needs two models or more")
-    files = [read_model(find_model(model)) for model in models]
-    weights = [float_weights(model, steps=True) for model in models]
-    shapes = [{k: tuple(v.shape) for k, v in w.items()} for w in weights]
-    if any(shape != shapes[0] for shape in shapes):
-        raise OptionError(
-            "models of different sizes have no mean", remedy="take models of one size"
-        )
-    first = dict(files[0].card)
-    for key in ("sha256", "format", "inputs", "int8"):
-        first.pop(key, None)
-    parts = [
-        {k: file.card.get(k) for k in ("name", "recipe", "step", "hours", "score", "data")}
-        for file in files
-    ]
-    kind = RoundedNet if "steps.input" in weights[0] else LambentNet
-    model = kind(first.get("recipe", {}).get("size", "default"))
-    model.load_state_dict({k: sum(w[k] for w in weights) / len(weights) for k in weights[0]})
-    card = {**first, "averaged": parts}
-    export(model, path, card, None, overwrite, half=True)
-    return card
 
 
 # ------------------------------------------------------------------- private

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lambent.denoise.inputs import Signals, signals_of
+from lambent.denoise.inputs import MASKS, Signals, signals_of
 from lambent.denoise.model_file import find_model, read_model
 from lambent.denoise.samples import seeming_samples
 from lambent.errors import LayerError, OptionError
@@ -36,17 +36,19 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
-from lambent.learn import losses
-from lambent.learn.augment import Example, recoloured, turned
-from lambent.learn.batches import Row, ahead, ready
+from lambent.learn import changes, losses
+from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
 from lambent.learn.held_out import TRIMMED
-from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
-from lambent.learn.recipe import TrainRecipe
+from lambent.learn.rows import Example, Rows, generator, rows_of
 from lambent.metrics.relmse import EPSILON
+from lambent.training.ahead import ahead
+from lambent.training.loop import train
+from lambent.training.schedule import Schedule
+from lambent.training.task import Pictures, Task
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
 CROP = 128
@@ -94,6 +96,18 @@ class Pair:
     epsilon: float
 
 
+@dataclass(frozen=True)
+class Crops:
+    """A batch for the network; ``noisy_target``: some targets are halves.
+
+    ``epsilon`` ``(B, 1, 1, 1)``: relMSE's, at the rows' exposure.
+    """
+
+    inputs: Batch
+    noisy_target: bool
+    epsilon: Tensor
+
+
 def finetune(
     paths: Sequence[Path],
     start: str,
@@ -121,17 +135,17 @@ def finetune(
         pairs, size, int8="steps.input" in weights, tell_after=DECIDED * seconds,
         tell_from=round(DECIDED * most / CHECK_EVERY),
     )  # fmt: skip
-    recipe = TrainRecipe(
-        name="finetuned", batch=BATCH, rate=CAREFUL if task.noisy else RATE, warmup=20,
-        decay=0.99, check_every=CHECK_EVERY, steps=1 << 20, last_rate=0.05,
+    schedule = Schedule(
+        steps=1 << 20, rate=CAREFUL if task.noisy else RATE, warmup=20, decay=0.99,
+        check_every=CHECK_EVERY, last_rate=0.05,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         run = train(
-            recipe, task, Path(folder) / "run", device, start=weights,
+            schedule, task, Path(folder) / "finetuned", device, start=weights,
             seconds=max(1.0, seconds - (time.monotonic() - began) - min(LAST, 0.1 * seconds)),
             steps=most, check_first=True, progress=_timed(progress, seconds, began),
         )  # fmt: skip
-        checks = [line for line in run.lines() if "check" in line]
+        checks = run.checks()
         scores = [line["check"]["score"] for line in checks]
         held_out = scores[: task.told_at]
         # later ones are of tiles that have been learned from: better says little, worse is worse
@@ -189,8 +203,8 @@ def pairs_of(path: Path) -> list[Pair]:
     ]
 
 
-class FinetuneTask:
-    """Crops of a few frames: a `learn.task.Task`.
+class FinetuneTask(Task):
+    """Crops of a few frames: a `training.task.Task`.
 
     ``tell_after``, ``tell_from``: seconds or scores after which held-out tiles may be learned from,
     once the scores are `settled`; not of noisy targets. ``told_at``: how many scores there were by
@@ -239,45 +253,58 @@ class FinetuneTask:
                 parameter.requires_grad = name.split(".")[0] in FIRST
         return model
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Row]]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[Crops, None, None]:
         """Crops from anywhere; of held-out tiles the target is not told, until `told_at`."""
-        return ahead(self.row, first, BATCH, rank, world)
+        return ahead(lambda step: self.made(step, range(rank, BATCH, world)), first)
 
-    def row(self, step: int, number: int) -> Row:
-        """Row ``number`` of the batch of ``step``."""
-        rng = np.random.default_rng((step, number))
-        which = int(rng.integers(len(self.pairs)))
-        pair = self.pairs[which]
-        height, width = pair.target.shape[1:]
-        y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
-        if self.told_at is None:
-            pair = replace(pair, target=self._told[which])
-        cut = turned(_cut(pair, y, x), rng)
-        example = recoloured(cut, rng)
-        before = float(np.nansum(cut.target))
-        gain = float(np.nansum(example.target)) / before if before > 0 else 1.0
-        made = ready(example, 0.0, float(pair.noisy.spp or 0))
-        return replace(made, noisy_target=pair.noisy_target, epsilon=pair.epsilon * gain**2)
+    def made(self, step: int, numbers: Sequence[int]) -> Crops:
+        """Those rows of the batch of a step."""
+        crops, which = [], []
+        for number in numbers:
+            rng = np.random.default_rng((step, number))
+            which.append(int(rng.integers(len(self.pairs))))
+            pair = self.pairs[which[-1]]
+            height, width = pair.target.shape[1:]
+            y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+            if self.told_at is None:
+                pair = replace(pair, target=self._told[which[-1]])
+            crops.append(_cut(pair, y, x))
+        dice = generator("cpu", step, *numbers)
+        rows = changes.turned(rows_of(crops), dice)
+        before = rows.target[:, :3].nansum((1, 2, 3))
+        changes.recoloured(rows, dice)
+        after = rows.target[:, :3].nansum((1, 2, 3))
+        return self._crops(rows, which, torch.where(before > 0, after / before, 1.0))
 
-    def loss(
-        self, model: nn.Module, batch: list[Row], device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def _crops(self, rows: Rows, which: Sequence[int], gain: Tensor) -> Crops:
+        """Rows of those pairs, at ``gain`` times their exposure, as the network reads them."""
+        pairs = [self.pairs[n] for n in which]
+        guess = torch.tensor([float(p.noisy.guess or 0) for p in pairs])
+        masks = torch.ones(len(pairs), len(MASKS))
+        parts = ready(rows, masks, rows.spp, torch.zeros(len(pairs)), guess)
+        epsilon = torch.tensor([p.epsilon for p in pairs]) * gain**2
+        return Crops(
+            Batch.of(*(part.to(self.device) for part in parts)),
+            any(p.noisy_target for p in pairs),
+            epsilon[:, None, None, None].to(self.device),
+        )
+
+    def loss(self, model: nn.Module, batch: Crops) -> tuple[Tensor, dict[str, Tensor]]:
         """The squared error, which is what frames are judged by, and a little of the logarithm.
 
         Relative to the reference; to the output where targets are halves. The loss of training
         moved well-trained weights away from it.
         """
-        b = Batch.of(batch, device)
+        b = batch.inputs
         x = cleaned(model, b)
         target = torch.where(torch.isnan(b.target), x.detach(), b.target)  # held out: no error
-        epsilon = torch.tensor([r.epsilon for r in batch], device=device)[:, None, None, None]
-        if any(r.noisy_target for r in batch):
-            return losses.unbiased(x, target, epsilon), {}
-        square = losses.relative_square(x, target, b.deviation, epsilon).mean()
+        if batch.noisy_target:
+            return losses.unbiased(x, target, batch.epsilon), {}
+        square = losses.relative_square(x, target, b.deviation, batch.epsilon).mean()
         return SQUARE * square + LOGARITHM * losses.logarithmic(x, target).mean(), {}
 
     @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], dict]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """Mean trimmed relMSE on the held-out tiles.
 
         Of halves: the error against them, all pixels, and the standard error of how it changed.
@@ -285,7 +312,7 @@ class FinetuneTask:
         outputs = []
         for n, y, x in self._held:
             pair = self.pairs[n]
-            b = Batch.of([ready(_cut(pair, y, x), 0.0, float(pair.noisy.spp or 0))], device)
+            b = self._crops(rows_of([_cut(pair, y, x)]), [n], torch.ones(1)).inputs
             outputs.append((pair, cleaned(model, b), b.target))
         if not self._first:
             self._first = [out for _, out, _ in outputs]

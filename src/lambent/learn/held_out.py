@@ -13,8 +13,8 @@ from lambent.errors import OptionError
 from lambent.filters.denoiser import create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.learn.augment import Example
 from lambent.learn.cache import Cached
+from lambent.learn.rows import Example
 
 #: Share of the pixels, those with the largest error, that the trimmed error leaves out.
 TRIMMED = 1e-3

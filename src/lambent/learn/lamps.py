@@ -15,108 +15,124 @@ and the other half have an albedo, a normal and a depth of their own.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from lambent.frame.layer import FloatImage
-from lambent.learn.augment import Example
+from lambent.learn.changes import log_uniform
+from lambent.learn.rows import AT, Rows, random
 
-#: Share of the examples that get lamps, and the most that one gets.
+#: Share of the rows that get lamps, and the most that one gets.
 SHARE, MOST = 0.25, 4
 #: Radiance of a lamp where the mean of the crop is about 0.18, log-uniform.
 RADIANCE = (1.0, 4000.0)
 #: Its half width in pixels, log-uniform.
 SIZE = (0.4, 8.0)
 #: Places in a pixel, down and across, that its coverage is measured at.
-_FINE = 8
+_FINE = 4
 
 
-@dataclass(frozen=True)
-class Lamp:
-    """``cover`` ``(H, W)`` in [0, 1]; ``radiance`` ``(3,)``; ``features``: it has its own."""
+@dataclass
+class Lamps:
+    """A lamp a row. ``cover`` ``(B, 1, H, W)`` in [0, 1]; ``radiance`` ``(B, 3, 1, 1)``.
 
-    cover: FloatImage
-    radiance: FloatImage
-    features: bool
+    ``own`` ``(B, 1, 1, 1)``: 1 where it has features of its own: ``albedo`` and ``normal``
+    ``(B, 3, 1, 1)``; ``before`` ``(B, 1, 1, 1)``: its depth less the least depth of the crop.
+    """
+
+    cover: Tensor
+    radiance: Tensor
+    own: Tensor
+    albedo: Tensor
+    normal: Tensor
+    before: Tensor
+
+    def parts(self, count: int) -> list[Lamps]:
+        """As ``count`` lamps a row, where all were drawn at once."""
+        fields = (self.cover, self.radiance, self.own, self.albedo, self.normal, self.before)
+        return [Lamps(*part) for part in zip(*(f.chunk(count) for f in fields), strict=True)]
 
 
-def draw(shape: tuple[int, int], rng: np.random.Generator) -> Lamp:
-    """A disc, an ellipse, a bar or a polygonal panel somewhere in a picture."""
-    height, width = shape
-    half = np.exp(rng.uniform(math.log(SIZE[0]), math.log(SIZE[1]), 2))
-    if rng.random() < 0.4:
-        half[1] = half[0]
-    if rng.random() < 0.15:  # a tube
-        half *= (0.5, 4.0)
-    centre = rng.uniform(0, 1, 2) * (height, width)
-    angle = rng.uniform(0, np.pi)
-    power = (2.0, 1.0, 16.0)[int(rng.choice(3, p=(0.6, 0.1, 0.3)))]  # ellipse, rhomb, panel
-    reach = float(np.hypot(*half)) + 1
-    top, left = (max(0, int(c - reach)) for c in centre)
-    bottom, right = (
-        min(n, int(c + reach) + 1) for c, n in zip(centre, (height, width), strict=True)
+def draw(size: int, height: int, width: int, rng: torch.Generator) -> Lamps:
+    """Discs, ellipses, bars or polygonal panels somewhere in ``size`` pictures."""
+    dev = rng.device
+    dice = random(size, 16, rng)
+    level = log_uniform(dice[:, 8:9], RADIANCE)
+    tint = torch.exp(0.3 * torch.randn(size, 3, generator=rng, device=dev))
+    normal = F.normalize(torch.randn(size, 3, generator=rng, device=dev), dim=1)
+    grey = (dice[:, 10:11] * 3).floor() / 2
+    return Lamps(
+        _cover(dice, height, width, rng),
+        (level * tint / tint.mean(1, keepdim=True))[:, :, None, None],
+        (dice[:, 9] < 0.5).float()[:, None, None, None],
+        grey.expand(-1, 3)[:, :, None, None],
+        normal[:, :, None, None],
+        (0.2 * dice[:, 11] - 0.1)[:, None, None, None],
     )
-    cover = np.zeros(shape, np.float32)
-    if bottom > top and right > left:
-        y = (np.arange((bottom - top) * _FINE) + 0.5) / _FINE + top - centre[0]
-        x = (np.arange((right - left) * _FINE) + 0.5) / _FINE + left - centre[1]
-        u = (np.cos(angle) * y[:, None] + np.sin(angle) * x) / half[0]
-        v = (np.cos(angle) * x - np.sin(angle) * y[:, None]) / half[1]
-        inside = (np.abs(u) ** power + np.abs(v) ** power <= 1).astype(np.float32)
-        cells = inside.reshape(bottom - top, _FINE, right - left, _FINE)
-        cover[top:bottom, left:right] = cells.mean((1, 3))
-    tint = np.exp(rng.normal(0, 0.3, 3))
-    level = np.exp(rng.uniform(math.log(RADIANCE[0]), math.log(RADIANCE[1])))
-    return Lamp(cover, (level * tint / tint.mean()).astype(np.float32), rng.random() < 0.5)
 
 
-def lit(example: Example, rng: np.random.Generator) -> Example:
-    """The example with one to `MOST` lamps, each before what is there."""
-    for _ in range(int(rng.integers(1, MOST + 1))):
-        example = add(example, draw(example.target.shape[1:], rng), rng)
-    return example
+def lit(rows: Rows, rng: torch.Generator) -> None:
+    """Put one to `MOST` lamps before what is there."""
+    size = len(rows.planes)
+    count = 1 + (random(size, 1, rng) * MOST).long()
+    height, width = rows.planes.shape[2:]
+    every = draw(MOST * size, height, width, rng)
+    for number, lamp in enumerate(every.parts(MOST)):
+        lamp.cover = lamp.cover * (number < count)[:, :, None, None]
+        add(rows, lamp, rng)
 
 
-def add(example: Example, lamp: Lamp, rng: np.random.Generator) -> Example:
-    """The example with a lamp before what is there."""
-    noisy, cover = example.noisy, lamp.cover[None]
-    spp = max(1, round(noisy.spp or 1))
-    hit = (rng.binomial(spp, lamp.cover) / spp).astype(np.float32)[None]
-    radiance = lamp.radiance[:, None, None]
+def add(rows: Rows, lamp: Lamps, rng: torch.Generator) -> None:
+    """Put a lamp before what is there in each row."""
+    n = rows.spp.round().clamp_min(1)[:, None, None, None].expand_as(lamp.cover).contiguous()
+    hit = torch.binomial(n, lamp.cover.clamp(0, 1), generator=rng) / n
     # between what was there and the lamp: a sample sees the one or the other
-    spread = hit * (1 - hit) / max(1, spp - 1)
-    layers = dict(noisy.layers)
+    spread = hit * (1 - hit) / (n - 1).clamp_min(1)
 
-    def behind(name: str, step: FloatImage) -> None:
+    def behind(name: str, step: Tensor, share: Tensor | float) -> None:
         """The deviation of a layer whose value jumps by ``step`` at the lamp's rim."""
-        if name in layers:
-            rest = layers[name] * (1 - hit)
-            layers[name] = np.sqrt(rest * rest + spread * step * step)
+        there = rows.layer(name) * (1 - share * hit)
+        rows.planes[:, AT[name]] = (there * there + share * spread * step * step).sqrt()
 
-    jump = np.abs(radiance - noisy.colour).mean(0, keepdims=True)
-    behind("colour_std", jump)
-    if lamp.features:
-        grey = (0.0, 0.5, 1.0)[int(rng.integers(3))]
-        normal = rng.normal(size=3)
-        own = {
-            "albedo": np.full(3, grey),
-            "normal": normal / np.linalg.norm(normal),
-            "roughness": np.ones(1),
-        }
-        if "depth" in layers:
-            near = float(np.clip(layers["depth"].min() + rng.uniform(-0.1, 0.1), -1, 1))
-            own["depth"] = np.array([near])
-        for name, value in own.items():
-            if name in layers:
-                there, mine = layers[name], value.astype(np.float32)[:, None, None]
-                behind(f"{name}_std", np.abs(mine - there).mean(0, keepdims=True))
-                layers[name] = (1 - hit) * there + hit * mine
-    colour = (1 - hit) * noisy.colour + hit * radiance
-    target = (1 - cover) * example.target + cover * radiance
-    return replace(
-        example,
-        noisy=replace(noisy, colour=colour, layers=layers),
-        target=target,
-        deviation=example.deviation * (1 - cover),
-    )
+    colour = rows.planes[:, :3]
+    behind("colour_std", (lamp.radiance - colour).abs().mean(1, keepdim=True), 1.0)
+    near = rows.layer("depth").amin((2, 3), keepdim=True) + lamp.before
+    for name, value in (
+        ("albedo", lamp.albedo), ("normal", lamp.normal),
+        ("roughness", torch.ones_like(near)), ("depth", near.clamp(-1, 1)),
+    ):  # fmt: skip
+        there = rows.layer(name)
+        if f"{name}_std" in AT:
+            behind(f"{name}_std", (value - there).abs().mean(1, keepdim=True), lamp.own)
+        rows.planes[:, AT[name]] = torch.lerp(there, value.expand_as(there), lamp.own * hit)
+    rows.planes[:, :3] = colour * (1 - hit) + hit * lamp.radiance
+    rows.target[:, :3] = rows.target[:, :3] * (1 - lamp.cover) + lamp.cover * lamp.radiance
+    rows.target[:, 3:] *= 1 - lamp.cover
+
+
+# ------------------------------------------------------------------- private
+
+
+def _cover(p: Tensor, height: int, width: int, rng: torch.Generator) -> Tensor:
+    """The share of each pixel that a lamp covers ``(B, 1, H, W)``."""
+    size, dev = len(p), p.device
+    half = log_uniform(p[:, :2], SIZE)
+    half = torch.where(p[:, 2:3] < 0.4, half[:, :1], half)
+    tube = p[:, 3:4] < 0.15
+    half = torch.where(tube, half * torch.tensor([0.5, 4.0], device=dev), half)
+    # ellipse, rhomb, panel
+    power = torch.where(p[:, 4] < 0.6, 2.0, torch.where(p[:, 4] < 0.7, 1.0, 16.0))
+    angle = p[:, 5] * math.pi
+    jitter = torch.rand(2, size, 1, 1, generator=rng, device=dev)
+    y = torch.arange(height * _FINE, device=dev)[None, :, None] + jitter[0]
+    x = torch.arange(width * _FINE, device=dev)[None, None, :] + jitter[1]
+    y = y / _FINE - (p[:, 6] * height)[:, None, None]
+    x = x / _FINE - (p[:, 7] * width)[:, None, None]
+    cos, sin = torch.cos(angle)[:, None, None], torch.sin(angle)[:, None, None]
+    power = power[:, None, None]
+    u = ((cos * y + sin * x) / half[:, :1, None]).abs()
+    v = ((cos * x - sin * y) / half[:, 1:, None]).abs()
+    inside = (u.clamp_max(2) ** power + v.clamp_max(2) ** power <= 1).float()
+    return F.avg_pool2d(inside[:, None], _FINE)

@@ -8,7 +8,7 @@ targets are made into photographs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,13 +24,13 @@ from lambent.frame.atomic import atomic
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.tonemap import inverse_srgb, srgb
-from lambent.learn.batches import ahead
 from lambent.learn.cache import cached
 from lambent.learn.held_out import is_held_out
 from lambent.learn.networks import dncnn
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.task import Exportable, Pictures
-from lambent.settings import record_from
+from lambent.learn.task import Exportable, Learnable, ShippedTask
+from lambent.training.ahead import ahead
+from lambent.training.task import Pictures
 
 #: Noise levels, in 255ths, that a blind model is validated at.
 CHECKED = (15.0, 25.0, 50.0)
@@ -58,6 +58,10 @@ class PhotoOptions:
     residual: bool = True
     small_start: bool = True
     patch: int = 50
+
+    def __post_init__(self) -> None:
+        if self.sigma_low > self.sigma_high:
+            raise OptionError("sigma_low lies above sigma_high")
 
 
 _RANGES = (
@@ -104,7 +108,7 @@ def photo_task(
     return PhotoTask(recipe, pictures)
 
 
-class PhotoTask:
+class PhotoTask(ShippedTask):
     """Learn to take Gaussian noise off photographs: `Task` for `DnCNN`.
 
     Some are held out, by their names, so that crops of one scene are all on one side.
@@ -113,7 +117,7 @@ class PhotoTask:
 
     def __init__(self, recipe: TrainRecipe, pictures: Sequence[Photograph]) -> None:
         self.recipe = recipe
-        self.options = options_for(recipe)
+        self.options: PhotoOptions = PHOTO.options_from(recipe.options)
         side = self.options.patch
         fit = [p for p in pictures if min(p.pixels.shape[:2]) >= side]
         held = [p for p in fit if is_held_out(p.name, recipe.held_out)]
@@ -134,9 +138,10 @@ class PhotoTask:
         channels = 3 if o.colour else 1
         return dncnn.DnCNN(channels, o.depth, o.width, o.norm, o.residual, o.small_start)
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[list[Patch]]:
+    def batches(self, first: int, rank: int, world: int) -> Generator[list[Patch], None, None]:
         """Patches of this process's share of each batch."""
-        return ahead(self.patch, first, self.recipe.batch, rank, world)
+        numbers = range(rank, self.recipe.batch, world)
+        return ahead(lambda step: [self.patch(step, n) for n in numbers], first)
 
     def patch(self, step: int, number: int) -> Patch:
         """Patch ``number`` of the batch of ``step``."""
@@ -154,22 +159,20 @@ class PhotoTask:
             noise = np.repeat(noise[:1], 3, axis=0)
         return Patch(clean + noise, clean)
 
-    def loss(
-        self, model: nn.Module, batch: list[Patch], device: torch.device
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def loss(self, model: nn.Module, batch: list[Patch]) -> tuple[Tensor, dict[str, Tensor]]:
         """Half the squared error of a patch; the convolutions in bf16."""
         noisy, clean = (
             torch.from_numpy(np.stack([getattr(p, name) for p in batch]))
-            .to(device)
+            .to(self.device)
             .to(memory_format=torch.channels_last)
             for name in ("noisy", "clean")
         )
-        with torch.autocast(device.type, torch.bfloat16):
+        with torch.autocast(noisy.device.type, torch.bfloat16):
             found = model(noisy)
         return dncnn.loss(found, clean), {}
 
     @torch.no_grad()
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
+    def score(self, model: nn.Module) -> tuple[dict[str, float], Pictures]:
         """PSNR in dB on the held-out pictures, in float32.
 
         ``score``: their mean as a root-mean-square error in 255ths.
@@ -185,7 +188,7 @@ class PhotoTask:
                 rng = np.random.default_rng((7, number, int(sigma)))
                 noisy = clean + rng.standard_normal(clean.shape, np.float32) * (sigma / 255)
                 noisy = noisy.astype(np.float32)
-                x = model(torch.from_numpy(noisy[None]).to(device))[0].float().cpu().numpy()
+                x = model(torch.from_numpy(noisy[None]).to(self.device))[0].float().cpu().numpy()
                 values.append(psnr(x, clean))
                 if number < 3:
                     row = np.concatenate([noisy, x, clean], 2).transpose(1, 2, 0)
@@ -221,14 +224,6 @@ class PhotoTask:
         return [{"name": names, "pictures": len(self.pictures)}]
 
 
-def options_for(recipe: TrainRecipe) -> PhotoOptions:
-    """The options of a recipe. Raises `OptionError` for those that make no sense."""
-    found = record_from(PhotoOptions, dict(recipe.options), _RANGES)
-    if found.sigma_low > found.sigma_high:
-        raise OptionError("sigma_low lies above sigma_high")
-    return found
-
-
 def psnr(x: FloatImage, clean: FloatImage) -> float:
     """10 log10(1 / MSE) in dB of display values, ``x`` held to [0, 1] as on a screen."""
     error = np.clip(x, 0, 1).astype(np.float64) - clean
@@ -255,6 +250,9 @@ def photographs(folder: Path) -> list[Photograph]:
     if not found:
         raise FileError("holds no PNG or JPEG", file=folder, remedy="name another folder")
     return found
+
+
+PHOTO = Learnable(PhotoOptions, _RANGES, dncnn.DnCNN, photo_task)
 
 
 # ------------------------------------------------------------------- private

@@ -20,6 +20,7 @@ from typing import Any
 
 from lambent.errors import OptionError
 from lambent.settings import Range, read_toml, record_from
+from lambent.training.schedule import OPTIMISERS, Schedule
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,17 @@ class TrainRecipe:
         """Every key with its value, as JSON and TOML know them."""
         return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
 
+    @property
+    def schedule(self) -> Schedule:
+        """What the loop has to know."""
+        return Schedule(
+            self.steps, self.rate, self.warmup, self.last_rate, self.decay, self.clip,
+            check_every=self.check_every, optimiser=self.optimiser, seed=self.seed,
+        )  # fmt: skip
 
-#: Adam with decoupled weight decay; stochastic gradient descent with and without momentum.
-OPTIMISERS = ("adam", "momentum", "sgd")
+
+#: Keys that do not make another run.
+MAY_DIFFER = ("data", "checked", "known_failures")
 
 _RANGES: tuple[Range, ...] = (
     ("seed", 0, 2**31 - 1),

@@ -13,87 +13,82 @@ averaged over the pixel (`expected`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
 
-import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
 
-from lambent.frame.layer import FloatImage
+from lambent.learn.rows import MEANS, NAMES, Rows, random
 
+#: Pixel filters, by number: a tent; Mitsuba's Gaussian of deviation 0.5, cut at 4 deviations, where
+#: it is 0; Mitchell and Netravali 1988 with B = C = 1/3, radius 2.
+FILTERS = ("tent", "gaussian", "mitchell")
+#: Whole pixels that a filter reaches, to each side.
+REACH = 2
 #: Samples of a pixel are taken together in so many groups at most: more would be all but even.
 GROUPS = 4
 
 
-@dataclass(frozen=True)
-class Filter:
-    """A separable pixel filter: ``reach`` in whole pixels of the window, f of the distance."""
-
-    name: str
-    reach: int
-    f: Callable[[FloatImage], FloatImage]
-
-
-def _tent(x: FloatImage) -> FloatImage:
-    return np.maximum(np.float32(0), 1 - np.abs(x))
+def filtered(rows: Rows, rng: torch.Generator) -> None:
+    """Make rows those of a renderer that splats: deviations are not known then."""
+    kind = (random(len(rows.planes), 1, rng) * len(FILTERS)).long()
+    rows.planes[:, MEANS] = splatted(rows.planes[:, MEANS], rows.spp, kind, rng)
+    rows.target[:] = expected(rows.target, kind)
+    rows.target[:, 3:].clamp_min_(0)
+    for i, name in enumerate(NAMES):
+        if name.endswith("_std"):
+            rows.there[:, i] = 0
 
 
-def _gaussian(x: FloatImage) -> FloatImage:
-    """Mitsuba's default: deviation 0.5, cut at 4 deviations, where it is 0."""
-    return np.maximum(np.float32(0), np.exp(-2 * x * x) - np.float32(np.exp(-8)))
+def splatted(image: Tensor, spp: Tensor, kind: Tensor, rng: torch.Generator) -> Tensor:
+    """``image`` ``(B, C, H, W)`` of ``spp`` ``(B,)`` samples a pixel, splatted. Same shape.
 
-
-def _mitchell(x: FloatImage) -> FloatImage:
-    """Mitchell and Netravali 1988, B = C = 1/3, radius 2."""
-    x = np.abs(x)
-    near = (7 * x**3 - 12 * x**2 + 16 / 3) / 6
-    far = (-7 / 3 * x**3 + 12 * x**2 - 20 * x + 32 / 3) / 6
-    return np.where(x < 1, near, np.where(x < 2, far, 0)).astype(np.float32)
-
-
-FILTERS = (
-    Filter("tent", 1, _tent),
-    Filter("gaussian", 2, _gaussian),
-    Filter("mitchell", 2, _mitchell),
-)
-
-
-def splatted(image: FloatImage, spp: float, kind: Filter, rng: np.random.Generator) -> FloatImage:
-    """``image`` ``(C, H, W)`` of ``spp`` samples a pixel, splatted. Same shape.
-
-    All channels of a pixel have the same samples: pass colour and features in one stack.
+    ``kind`` ``(B, 1)``: numbers of `FILTERS`. All channels of a pixel have the same samples.
     """
-    total, weight = np.zeros_like(image), np.zeros(image.shape[1:], np.float32)
-    for _ in range(int(min(max(spp, 1), GROUPS))):
-        at = rng.random((2, *image.shape[1:]), np.float32) - np.float32(0.5)
-        steps = range(-kind.reach, kind.reach + 1)
-        down = [kind.f(np.float32(dy) - at[0]) for dy in steps]
-        across = [kind.f(np.float32(dx) - at[1]) for dx in steps]
-        for dy, fy in zip(steps, down, strict=True):
-            for dx, fx in zip(steps, across, strict=True):
-                _spread(image, fy * fx, dy, dx, total, weight)
+    size, _, height, width = image.shape
+    dev = image.device
+    steps = torch.arange(-REACH, REACH + 1, device=dev, dtype=torch.float32)[None, :, None, None]
+    kinds = kind[:, :, None, None]
+    # all samples of a pixel have its value: their weights add up before they are spread
+    w: Tensor | float = 0.0
+    for group in range(GROUPS):
+        at = torch.rand(2, size, 1, height, width, generator=rng, device=dev) - 0.5
+        down, across = (weight(steps - a, kinds) for a in at)
+        there = (group < spp.clamp_min(1))[:, None, None, None, None]
+        w = w + there * down[:, :, None] * across[:, None]
+    assert isinstance(w, Tensor)  # (B, 5, 5, H, W)
+    both = torch.cat([image, torch.ones_like(image[:, :1])], 1)
+    sums = F.pad(torch.zeros_like(both), (REACH,) * 4)
+    for dy in range(2 * REACH + 1):
+        for dx in range(2 * REACH + 1):
+            sums[:, :, dy : dy + height, dx : dx + width].addcmul_(both, w[:, dy, dx, None])
+    sums = sums[:, :, REACH:-REACH, REACH:-REACH]
     # Mitchell's lobes may take nearly all of a pixel's weight away: renderers leave it at that
-    safe = np.where(np.abs(weight) < 0.05, np.float32(0.05), weight)
-    return (total / safe).astype(np.float32)
+    total = torch.where(sums[:, -1:].abs() < 0.05, 0.05, sums[:, -1:])
+    return sums[:, :-1] / total
 
 
-def expected(image: FloatImage, kind: Filter) -> FloatImage:
-    """``image`` ``(C, H, W)`` under the filter, with infinitely many samples a pixel."""
-    at = (np.arange(64, dtype=np.float32) + np.float32(0.5)) / 64 - np.float32(0.5)
-    steps = range(-kind.reach, kind.reach + 1)
-    line = np.array([kind.f(np.float32(d) - at).mean() for d in steps], np.float32)
-    total, weight = np.zeros_like(image), np.zeros(image.shape[1:], np.float32)
-    for dy, fy in zip(steps, line, strict=True):
-        for dx, fx in zip(steps, line, strict=True):
-            _spread(image, np.full(image.shape[1:], fy * fx, np.float32), dy, dx, total, weight)
-    return total / weight
+def expected(image: Tensor, kind: Tensor) -> Tensor:
+    """``image`` ``(B, C, H, W)`` under the filters, with infinitely many samples a pixel."""
+    dev = image.device
+    steps = torch.arange(-REACH, REACH + 1, device=dev, dtype=torch.float32)[None, :, None]
+    fine = (torch.arange(64, device=dev) + 0.5) / 64 - 0.5
+    line = weight(steps - fine, kind[:, :, None]).mean(2)  # (B, 5)
+    both = torch.cat([image, torch.ones_like(image[:, :1])], 1)
+    size, channels = both.shape[:2]
+    kernel = (line[:, :, None] * line[:, None]).repeat_interleave(channels, 0)[:, None]
+    blurred = F.conv2d(both.flatten(0, 1)[None], kernel, padding=REACH, groups=len(kernel))
+    blurred = blurred.unflatten(1, (size, channels))[0]
+    return blurred[:, :-1] / blurred[:, -1:]
 
 
-def _spread(
-    image: FloatImage, w: FloatImage, dy: int, dx: int, total: FloatImage, weight: FloatImage
-) -> None:
-    """Add w · image, shifted by (dy, dx), and w to their sums."""
-    h, w_ = image.shape[1:]
-    rows, columns = slice(max(0, dy), h + min(0, dy)), slice(max(0, dx), w_ + min(0, dx))
-    up, left = slice(max(0, -dy), h + min(0, -dy)), slice(max(0, -dx), w_ + min(0, -dx))
-    total[:, rows, columns] += w[up, left] * image[:, up, left]
-    weight[rows, columns] += w[up, left]
+def weight(t: Tensor, kind: Tensor) -> Tensor:
+    """The filters of a distance in pixels, each row its own."""
+    a = t.abs()
+    tent = (1 - a).clamp_min(0)
+    gaussian = (torch.exp(-2 * a * a) - math.exp(-8)).clamp_min(0)
+    near = (7 * a**3 - 12 * a**2 + 16 / 3) / 6
+    far = (-7 / 3 * a**3 + 12 * a**2 - 20 * a + 32 / 3) / 6
+    mitchell = torch.where(a < 1, near, torch.where(a < 2, far, 0.0))
+    return torch.where(kind == 0, tent, torch.where(kind == 1, gaussian, mitchell))

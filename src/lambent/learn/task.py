@@ -1,21 +1,16 @@
-"""What the one training loop asks of anything that is to be learned.
-
-A task builds its network, makes its batches, says what the loss is and how good the network is on
-data it has not seen. Everything else (optimiser, schedule, averaging of weights, resuming, logs,
-several processes) is the loop's.
-"""
+"""What learning here adds to `training.task`: a network that ends up in a model file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-import torch
 from torch import Tensor, nn
 
-#: Pictures by name, ``(H, W, 3)`` linear radiance, for the report page.
-Pictures = Mapping[str, Any]
+from lambent.settings import Range, record_from
+from lambent.training.task import Task
 
 
 @dataclass(frozen=True)
@@ -32,46 +27,40 @@ class Exportable:
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Task(Protocol):
-    """Something to learn."""
+@dataclass(frozen=True)
+class Learnable:
+    """An entry of `tasks.TASKS`: a network to be learned, with what a recipe may say of it.
 
-    def network(self) -> nn.Module:
-        """A network with fresh weights; the seed is set by the caller."""
+    ``options``: the dataclass of the recipe's table ``[options]``; ``ranges`` of its fields.
+    ``network``: called with those options, where the task asks for it. ``make``: the task from a
+    recipe, the folder of the cache and a progress function.
+    """
 
-    def batches(self, first: int, rank: int, world: int) -> Iterator[Any]:
-        """The batches from step ``first`` on, the share of process ``rank`` of ``world``."""
+    options: type
+    ranges: tuple[Range, ...]
+    network: Any
+    make: Callable[..., ShippedTask]
 
-    def loss(self, model: nn.Module, batch: Any, device: torch.device) -> tuple[Tensor, dict]:
-        """The loss of a batch, and its terms to be logged."""
-
-    def score(self, model: nn.Module, device: torch.device) -> tuple[dict[str, float], Pictures]:
-        """Figures of merit on held-out data; the key ``score`` is the one to make small."""
-
-
-@runtime_checkable
-class RecordableTask(Task, Protocol):
-    """A task whose step is the same operations in every step: `graphed` may record it."""
-
-    def tensors(self, batch: Any, device: torch.device) -> Sequence[Tensor]:
-        """A batch on the device."""
-
-    def loss_of(
-        self, model: nn.Module, tensors: Sequence[Tensor]
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """`loss` of those tensors, without asking the device for a number."""
+    def options_from(self, options: Mapping[str, Any]) -> Any:
+        """The options in a recipe's table. Raises `OptionError`."""
+        return record_from(self.options, dict(options), self.ranges)
 
 
-class ShippedTask(Task, Protocol):
+class ShippedTask(Task):
     """A task whose network can be written as a model file."""
 
+    @abstractmethod
     def exportable(self, model: nn.Module) -> Exportable:
         """The trained network as a model file holds it."""
 
+    @abstractmethod
     def says(self, scores: Mapping[str, float]) -> str:
         """For the card: the score in words."""
 
+    @abstractmethod
     def calibration(self) -> Sequence[Any]:
         """Inputs to measure the ranges of activations on, for int8; one array each."""
 
+    @abstractmethod
     def about_data(self) -> list[dict[str, Any]]:
         """For the card: what it was trained on."""

@@ -1,16 +1,18 @@
-"""What can be learned, by name: the ``task`` of a recipe."""
+"""What can be learned, by name: the ``task`` of a recipe.
+
+An entry is a `task.Learnable`: options with their ranges, network, and the task that trains it.
+"""
 
 from lambent.registry import Registry
 
-#: An entry is a function of a recipe, the cache's folder and a progress function to a `Task`.
 TASKS = Registry(
     "task",
     {
-        "denoise": "lambent.learn.denoising:denoising_task",
-        "photo": "lambent.learn.photo:photo_task",
-        "kpcn": "lambent.learn.rendered:rendered_task",
-        "dpcn": "lambent.learn.rendered:rendered_task",
-        "modular": "lambent.learn.rendered:rendered_task",
-        "blocks": "lambent.learn.rendered:rendered_task",
+        "denoise": "lambent.learn.denoising:DENOISE",
+        "photo": "lambent.learn.photo:PHOTO",
+        "kpcn": "lambent.learn.networks.kpcn:LEARN_KPCN",
+        "dpcn": "lambent.learn.networks.kpcn:LEARN_DPCN",
+        "modular": "lambent.learn.networks.modular:LEARN_MODULAR",
+        "blocks": "lambent.learn.networks.blocks:LEARN_BLOCKS",
     },
 )

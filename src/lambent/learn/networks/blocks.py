@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -31,7 +30,8 @@ from torch import Tensor, nn
 from lambent.denoise.lobes import PLANES
 from lambent.errors import OptionError
 from lambent.learn import losses
-from lambent.learn.rendered import RenderedBatch
+from lambent.learn.rendered import RenderedBatch, RenderedNetwork, rendered_task
+from lambent.learn.task import Learnable
 
 #: Side of a window of attention, and channels of one of its heads.
 WINDOW, HEAD = 8, 8
@@ -73,13 +73,11 @@ LOSSES = ("l1", "l2", "smape")
 BLOCKS = ("plain", "residual", "attention")
 
 
-class Blocks(nn.Module):
+class Blocks(RenderedNetwork):
     """Planes ``(B, PLANES, H, W)``, sides multiples of 8, to what is added ``(B, 3, H, W)``.
 
     Raises `OptionError` for a name that is none of the known.
     """
-
-    options_of: ClassVar[type] = BlocksOptions
 
     def __init__(self, options: BlocksOptions | None = None) -> None:
         super().__init__()
@@ -187,6 +185,14 @@ def width_of(o: BlocksOptions) -> int:
         if macs_of_block(w, o.block, o.activation) <= most
     ]  # fmt: skip
     return max(fit, default=step)
+
+
+_RANGES = (
+    ("width", 1, 1024),
+    ("blocks", 0, 64),
+    ("patch", 16, 1024),
+)
+LEARN_BLOCKS = Learnable(BlocksOptions, _RANGES, Blocks, rendered_task)
 
 
 # ------------------------------------------------------------------- private

@@ -32,7 +32,8 @@ from lambent.denoise import lobes
 from lambent.denoise.lobes import PLANES
 from lambent.errors import OptionError
 from lambent.learn.networks import kernels
-from lambent.learn.rendered import RenderedBatch
+from lambent.learn.rendered import RenderedBatch, RenderedNetwork, rendered_task
+from lambent.learn.task import Learnable
 
 
 @dataclass(frozen=True)
@@ -52,13 +53,12 @@ class KPCNOptions:
     patch: int = 64
 
 
-class KPCN(nn.Module):
+class KPCN(RenderedNetwork):
     """Planes of both parts ``(B, PLANES, H, W)`` to the logits of both ``(B, kernel², H, W)``.
 
     Raises `OptionError` for windows without a centre.
     """
 
-    options_of = KPCNOptions
     needs_lobes = True
     options: KPCNOptions
 
@@ -130,6 +130,18 @@ class DPCN(KPCN):
     def reach(self) -> int:
         """Pixels that a result may depend on, to each side."""
         return self.receptive_field() // 2 + 1
+
+
+_RANGES = (
+    ("width", 1, 1024),
+    ("hidden", 1, 64),
+    ("filter", 1, 31),
+    ("kernel", 1, 63),
+    ("alone", 0, 1),
+    ("patch", 16, 1024),
+)
+LEARN_KPCN = Learnable(KPCNOptions, _RANGES, KPCN, rendered_task)
+LEARN_DPCN = Learnable(KPCNOptions, _RANGES, DPCN, rendered_task)
 
 
 # ------------------------------------------------------------------- private

@@ -32,7 +32,6 @@ network gives everything; sizes are for a processor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -44,7 +43,9 @@ from lambent.denoise.lobes import PLANES
 from lambent.errors import OptionError
 from lambent.learn import losses
 from lambent.learn.networks import kernels
-from lambent.learn.rendered import RenderedBatch
+from lambent.learn.rendered import RenderedBatch, RenderedNetwork, rendered_task
+from lambent.learn.task import Learnable
+from lambent.training.task import Weights
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class ModularOptions:
     patch: int = 64
 
 
-class Modular(nn.Module):
+class Modular(RenderedNetwork):
     """Planes and λ ``(B, PLANES + 1, H, W)`` to the logits of every scale.
 
     H and W are multiples of `multiple`. Of scale l ``(B, kernel² + 1, H / 2^l, W / 2^l)``: the
@@ -73,7 +74,6 @@ class Modular(nn.Module):
     Raises `OptionError` for a window without a centre.
     """
 
-    options_of: ClassVar[type] = ModularOptions
     uses_preference: ClassVar[bool] = True
 
     def __init__(self, options: ModularOptions | None = None) -> None:
@@ -148,15 +148,22 @@ class Modular(nn.Module):
         beyond = losses.asymmetric(x, b.target, b.noisy, preference)
         return {"smape": (weight * beyond * losses.smape(x, b.target)).mean()}
 
-    def started(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Weights to begin with: those given, but a fresh encoder where the rest is frozen."""
-        own = self.state_dict()
-        taken = {
-            name: value
-            for name, value in weights.items()
-            if not (self.options.frozen and name.startswith("encoder."))
-        }
-        return {**own, **taken}
+    def started(self, weights: Weights | None) -> Weights | None:
+        """Those named, but a fresh encoder where the rest is frozen.
+
+        Raises `OptionError` where the rest is frozen and there is none.
+        """
+        if weights is None and self.options.frozen:
+            raise OptionError(
+                "frozen = true keeps what a run begins with, and it begins with nothing",
+                remedy="add --from RUN, the folder of the run that made the rest",
+            )
+        if weights is None:
+            return None
+        if not self.options.frozen:
+            return weights
+        own = {f"encoder.{name}": value for name, value in self.encoder.state_dict().items()}
+        return {**weights, **own}
 
     def reach(self) -> int:
         """Pixels that a result may depend on, to each side: most of it by the coarsest scale."""
@@ -195,6 +202,17 @@ class ResidualBlock(nn.Module):
         """The same shape."""
         found: Tensor = x + self.second(F.relu(self.first(F.relu(x))))
         return found
+
+
+_RANGES = (
+    ("width", 1, 1024),
+    ("blocks", 0, 64),
+    ("kernel", 1, 63),
+    ("scales", 1, 6),
+    ("asymmetry", 0, 1000),
+    ("patch", 16, 1024),
+)
+LEARN_MODULAR = Learnable(ModularOptions, _RANGES, Modular, rendered_task)
 
 
 # ------------------------------------------------------------------- private

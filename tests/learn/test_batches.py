@@ -1,4 +1,4 @@
-"""Batches made on the device: the same augmentation as row by row, and what is new."""
+"""Batches: what is drawn, merged, changed and encoded is what it says."""
 
 import os
 import subprocess
@@ -11,17 +11,14 @@ import torch
 import torch.nn.functional as F
 from made import few_threads  # noqa: F401
 
-from lambent.denoise import samples
-from lambent.denoise.inputs import Signals
-from lambent.learn import augment, changes, denoising, lamps, resident, splat
-from lambent.learn.augment import Example, merged
-from lambent.learn.batches import ready
+from lambent.denoise import inputs, lobes, samples
+from lambent.learn import batches, changes, denoising, lamps
 from lambent.learn.denoising import DenoisingTask
-from lambent.learn.loop import train
 from lambent.learn.recipe import TrainRecipe
-from lambent.learn.rows import AT, NAMES, PLANES, Rows
-
-CPU = torch.device("cpu")
+from lambent.learn.rendered import RenderedBatch
+from lambent.learn.rows import AT, NAMES, PLANES, Example, Rows, rows_of
+from lambent.learn.stills import Stills
+from lambent.learn.train import train_task as train
 
 
 @pytest.fixture
@@ -31,7 +28,7 @@ def stills(tmp_path):
 
 @pytest.fixture
 def rows(stills):
-    return resident.Residents(stills, CPU).rows(8, torch.Generator().manual_seed(1))
+    return Stills(stills).rows(8, torch.Generator().manual_seed(1))
 
 
 def dice(value):
@@ -39,39 +36,89 @@ def dice(value):
     return lambda size, count, rng: torch.full((size, count), float(value))
 
 
-@pytest.mark.parametrize("merge", [True, False])
-def test_drawing_and_encoding_are_those_of_a_single_row(stills, monkeypatch, merge):
-    monkeypatch.setattr(resident, "random", dice(0.0 if merge else 1.0))
-    residents = resident.Residents(stills, CPU)
-    rows = residents.rows(6, torch.Generator().manual_seed(3))
-    drawn = torch.multinomial(
-        residents.chance, 6, replacement=True, generator=torch.Generator().manual_seed(3)
-    )
-    masks = torch.ones(6, len(resident.MASKS))
-    packed, colour, divisor, target, deviation, _ = resident.ready(
-        rows, masks, rows.spp, torch.zeros(6)
-    )
-    for i, number in enumerate(drawn.tolist()):
-        still = int(residents.still[number])
-        levels, wanted, noise = stills[still].load()
-        own = levels[number - int(residents.first[still])]
-        signals = merged(levels if merge else [own])
-        assert float(rows.spp[i]) == pytest.approx(signals.spp)
-        one = ready(Example(signals, wanted, noise), 0.0, signals.spp)
-        np.testing.assert_allclose(packed[i].numpy(), one.packed, atol=2e-5)
-        np.testing.assert_allclose(colour[i].numpy(), one.colour, rtol=1e-4, atol=1e-4)
-        np.testing.assert_allclose(divisor[i].numpy(), one.divisor, atol=1e-5)
-        np.testing.assert_array_equal(target[i].numpy(), one.target)
-        np.testing.assert_array_equal(deviation[i].numpy(), one.deviation)
+def test_merged_levels_are_one_render(stills):
+    """Of 1, 4 and 16 samples, the first without a variance that could be told."""
+    whole = Stills(stills)
+    levels, target, deviation = stills[0].load()
+    rows = whole.merged(torch.tensor([0]), torch.ones(1, 4, dtype=torch.bool))
+    assert float(rows.spp) == 21
+    for name in ("albedo", "depth"):
+        mean = sum(n * lv.layers[name] for n, lv in zip((1, 4, 16), levels, strict=True)) / 21
+        np.testing.assert_allclose(rows.layer(name)[0], mean, rtol=1e-4, atol=1e-5)
+    told = [(lv.spp, lv.layers["colour_std"]) for lv in levels if "colour_std" in lv.layers]
+    one = sum(n * n * std**2 for n, std in told) / sum(n for n, _ in told)  # of a single sample
+    np.testing.assert_allclose(rows.layer("colour_std")[0], np.sqrt(one / 21), rtol=1e-3, atol=1e-6)
+    np.testing.assert_array_equal(rows.target[0, :3], target)
+    np.testing.assert_array_equal(rows.target[0, 3:], deviation)
+    alone = whole.merged(torch.tensor([1]), torch.zeros(1, 4, dtype=torch.bool))
+    assert float(alone.spp) == 4
+    np.testing.assert_allclose(alone.planes[0, :3], levels[1].colour, rtol=1e-6)
+
+
+def test_what_the_network_reads_is_what_it_reads_at_run_time(stills):
+    """`denoise.inputs` for NumPy, one frame at a time, against the rows of a batch."""
+    for still in stills[:2]:
+        levels, target, deviation = still.load()
+        for signals in levels:
+            rows = rows_of([Example(signals, target, deviation)])
+            packed, colour, divisor, *_ = batches.ready(
+                rows, torch.ones(1, len(inputs.MASKS)), rows.spp, torch.zeros(1)
+            )
+            wanted = inputs.pack(
+                np, inputs.encode(np, signals, 1.0), inputs.constants(signals, 0.0)
+            )
+            np.testing.assert_allclose(packed[0], wanted, atol=2e-5)
+            np.testing.assert_array_equal(colour[0], signals.colour)
+            np.testing.assert_allclose(divisor[0], inputs.divisor(np, signals.layers["albedo"]))
+
+
+def test_lobes_of_rows_are_those_of_a_frame(tmp_path):
+    still = made.stills(tmp_path, 1, lobes=True)[0]
+    levels, target, deviation = still.load(lobes=True)
+    rows = rows_of([Example(levels[1], target, deviation)])
+    b = RenderedBatch.of(rows)
+    parts = lobes.parts_of(np, levels[1])
+    for name in ("diffuse", "specular", "albedo", "diffuse_planes", "specular_planes"):
+        np.testing.assert_allclose(getattr(b, name)[0], getattr(parts, name), atol=1e-5, rtol=1e-5)
+    again = lobes.together(torch, b.target_diffuse, b.target_specular, b.albedo)
+    torch.testing.assert_close(again, b.target, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("change", ["turned", "cut", "exposed"])
+def test_lobes_still_sum_to_the_colour(tmp_path, change):
+    """And to what they do in the target, whatever is turned, cut or exposed."""
+    rng = torch.Generator().manual_seed(4)
+    rows = Stills(made.stills(tmp_path, lobes=True), lobes=True).rows(6, rng)
+    shine = rows.planes[:, :3] - rows.layer("diffuse")
+    ratio = (shine / rows.planes[:, :3].clamp_min(1e-3)).flatten(1).sort(1).values
+    before = float(rows.target[:, 4:].sum())
+    if change == "exposed":
+        changes.exposed(rows, 1.0, rng)
+        assert float(rows.target[:, 4:].sum()) != before
+    else:
+        rows = changes.turned(rows, rng) if change == "turned" else changes.cut(rows, 40, rng)
+    again = rows.planes[:, :3] - rows.layer("diffuse")
+    shares = (again / rows.planes[:, :3].clamp_min(1e-3)).flatten(1).sort(1).values
+    if change == "cut":
+        assert rows.planes.shape[2:] == rows.target.shape[2:] == (40, 40)
+        # the same square of everything: light over albedo is smooth in it
+        light = rows.target[:, 4:] / rows.layer("diffuse_albedo").clamp_min(1e-2)
+        assert float(light.diff(dim=3).abs().mean()) < 0.03
+    elif change == "turned":
+        torch.testing.assert_close(shares, ratio, rtol=1e-3, atol=1e-3)
+    else:
+        here = rows.planes[:, :3] > 0.1
+        assert float((again[here] / rows.planes[:, :3][here]).max()) <= float(ratio.max()) + 1e-3
+    assert bool((rows.target[:, :3] - rows.target[:, 4:] > -2e-3).all())
 
 
 def test_more_can_be_brought_in(stills):
-    residents = resident.Residents(stills[:2], CPU)
+    residents = Stills(stills[:2])
     assert residents.add(stills) == 2
     assert residents.add(stills) == 0
-    whole = resident.Residents(stills, CPU)
+    whole = Stills(stills)
     assert len(residents) == len(whole) == 4
-    torch.testing.assert_close(residents.levels, whole.levels)
+    torch.testing.assert_close(residents.spp, whole.spp)
     torch.testing.assert_close(residents.chance, whole.chance)
 
 
@@ -148,12 +195,12 @@ def test_haze_adds_its_light_and_tells_its_noise():
 
 
 def test_some_batches_are_shrunk(stills, monkeypatch):
-    residents = resident.Residents(stills, CPU)
-    monkeypatch.setattr(resident, "LEAST", 16)
-    edge = residents.levels.shape[2]
+    residents = Stills(stills)
+    monkeypatch.setattr(batches, "LEAST", 16)
+    edge = residents.edge
     found = set()
     for step in range(8):
-        packed, colour, divisor, target, deviation, preference = resident.batch_of(
+        packed, colour, divisor, target, deviation, preference = batches.batch_of(
             residents, 1, step, 2
         )
         rows = len(packed)
@@ -165,8 +212,8 @@ def test_some_batches_are_shrunk(stills, monkeypatch):
 
 
 def test_batches_follow_from_seed_and_step(stills):
-    residents = resident.Residents(stills, CPU)
-    a, b, c = (resident.batch_of(residents, 1, step, 4) for step in (5, 5, 6))
+    residents = Stills(stills)
+    a, b, c = (batches.batch_of(residents, 1, step, 4) for step in (5, 5, 6))
     assert all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
     assert not torch.equal(a[0], c[0])
     assert all(bool(torch.isfinite(part).all()) for part in a)
@@ -178,7 +225,7 @@ def test_turning_keeps_normals_of_unit_length(rows):
     turned = changes.turned(rows, torch.Generator().manual_seed(2))
     assert float(turned.layer("normal").norm(dim=1).mean()) == pytest.approx(float(before))
     torch.testing.assert_close(turned.target.sum((2, 3)), light)
-    q = changes._rotations(64, torch.Generator().manual_seed(0))
+    q = changes.rotations(64, torch.Generator().manual_seed(0))
     eye = torch.eye(3).expand(64, 3, 3)
     torch.testing.assert_close(q @ q.mT, eye, atol=1e-5, rtol=0)
     assert {round(float(d)) for d in torch.linalg.det(q)} == {-1, 1}
@@ -250,27 +297,27 @@ def test_a_collage_shows_one_or_the_other_and_tells_its_noise():
 
 
 @pytest.mark.parametrize("albedo", [True, False])
-def test_the_guess_of_samples_is_that_of_a_single_row(albedo):
+def test_the_guess_of_samples_is_that_of_run_time(albedo):
     rng = torch.Generator().manual_seed(5)
     x = 0.3 + torch.tensor([0.3, 0.05, 0.004, 0.0])[:, None, None, None] * torch.randn(
         4, 3, 40, 40, generator=rng
     )
-    found = resident.guessed(x, torch.full((4,), albedo))
+    found = batches.guessed(x, torch.full((4,), albedo))
     for i in range(3):
-        layers = {"albedo": np.full((3, 40, 40), 0.95, np.float32)} if albedo else {}
-        one = samples.guessed(Signals(x[i].numpy(), layers))
+        d = np.full((40, 40, 3), 0.95, np.float32) if albedo else None
+        one = samples.guess(x[i].numpy().transpose(1, 2, 0), d, 1.0)
         assert float(found[i]) == pytest.approx(np.log2(one), abs=0.05)
     assert found[0] < found[1] < found[2]
     assert found[3] == 0  # no evidence
 
 
 def test_only_what_tells_neither_samples_nor_variance_is_guessed(rows):
-    masks = torch.ones(8, len(resident.MASKS))
-    deviations = list(resident.MASKS).index("colour_std")
+    masks = torch.ones(8, len(inputs.MASKS))
+    deviations = list(inputs.MASKS).index("colour_std")
     masks[4:, deviations] = 0
     rows.there[:] = 1
     spp = torch.tensor([8.0, 0, 8, 0] * 2)
-    packed = resident.ready(rows, masks, spp, torch.zeros(8))[0]
+    packed = batches.ready(rows, masks, spp, torch.zeros(8))[0]
     size, known = packed[:, -3, 0, 0] * 10, packed[:, -2, 0, 0]
     assert known.tolist() == [1, 0, 1, 0] * 2
     assert size[:4].tolist() == pytest.approx([3, 0, 3, 0])
@@ -288,25 +335,10 @@ def test_patterns_have_edges_soft_and_sharp():
     assert float(steepest.max()) > 0.7
 
 
-@pytest.mark.parametrize("kind", range(3))
-def test_splatting_is_that_of_a_single_row(rows, monkeypatch, kind):
-    monkeypatch.setattr(changes, "random", dice((kind + 0.5) / 3))
-    target, means = rows.target.clone(), rows.planes[:, :11].mean((0, 2, 3))
-    changes.filtered(rows, torch.Generator().manual_seed(1))
-    for i in range(len(target)):
-        wanted = splat.expected(target[i].numpy(), splat.FILTERS[kind])
-        wanted[3:] = np.maximum(wanted[3:], 0)
-        np.testing.assert_allclose(rows.target[i].numpy(), wanted, rtol=1e-3, atol=1e-4)
-    torch.testing.assert_close(rows.planes[:, :11].mean((0, 2, 3)), means, rtol=0.05, atol=0.01)
-    there = dict(zip(NAMES, rows.there[0].tolist(), strict=True))
-    assert there["albedo"] == 1
-    assert there["colour_std"] == 0
-
-
 def test_lamps_stand_still(rows, monkeypatch):
     monkeypatch.setattr(lamps, "MOST", 1)
     before = rows.target.clone()
-    changes.lit(rows, torch.Generator().manual_seed(3))
+    lamps.lit(rows, torch.Generator().manual_seed(3))
     changed = (rows.target[:, :3] - before[:, :3]).abs().amax(1)
     noisy = rows.planes[:, :3].amax(1)
     full = rows.target[:, 3] < 1e-6 * before[:, 3].clamp_min(1e-9)  # nothing but the lamp is seen
@@ -316,24 +348,24 @@ def test_lamps_stand_still(rows, monkeypatch):
     torch.testing.assert_close(ratio, torch.ones_like(ratio), rtol=1e-3, atol=1e-3)
 
 
-def test_layers_are_kept_as_often_as_row_by_row():
+def test_layers_are_kept_as_often_as_they_shall():
     class Some:
         planes = torch.zeros(4000, 1)
 
     masks, spp = changes.without_some(Some, torch.ones(4000), torch.Generator().manual_seed(0))
     whole, none = masks.all(1).float().mean(), (masks == 0).all(1).float().mean()
-    rest = 1 - augment.ALL - augment.PLAIN - augment.COLOUR
-    assert float(whole) == pytest.approx(augment.ALL + rest * 0.6**7, abs=0.03)
-    assert float(none) == pytest.approx(augment.COLOUR + rest * 0.4**7, abs=0.03)
-    assert float((spp == 0).float().mean()) == pytest.approx(augment.UNTOLD, abs=0.03)
+    rest = 1 - changes.ALL - changes.PLAIN - changes.COLOUR
+    assert float(whole) == pytest.approx(changes.ALL + rest * 0.6**7, abs=0.03)
+    assert float(none) == pytest.approx(changes.COLOUR + rest * 0.4**7, abs=0.03)
+    assert float((spp == 0).float().mean()) == pytest.approx(changes.UNTOLD, abs=0.03)
 
 
 @pytest.mark.parametrize("together", [1, 3])
-def test_a_resident_run_resumes(tmp_path, monkeypatch, together):
+def test_a_run_resumes(tmp_path, monkeypatch, together):
     monkeypatch.setitem(denoising.TOGETHER, "cpu", together)  # as on a GPU: stopped amid a draw
     recipe = TrainRecipe(
         name="resident", size="fast", steps=4, batch=2, warmup=1, check_every=4, checked=2,
-        held_out=0.0, options={"resident": True},
+        held_out=0.0,
     )  # fmt: skip
     task = DenoisingTask(recipe, made.stills(tmp_path))
     whole = train(recipe, task, tmp_path / "whole", "cpu").weights()
@@ -343,15 +375,15 @@ def test_a_resident_run_resumes(tmp_path, monkeypatch, together):
 
 
 def test_batches_of_one_draw_are_its_parts(stills, tmp_path, monkeypatch):
-    recipe = TrainRecipe(name="x", size="fast", batch=2, held_out=0.0, options={"resident": True})
+    recipe = TrainRecipe(name="x", size="fast", batch=2, held_out=0.0)
     task = DenoisingTask(recipe, stills)
     monkeypatch.setitem(denoising.TOGETHER, "cpu", 3)
-    residents = resident.Residents(stills, CPU)
+    residents = Stills(stills)
     for step, batch in zip(range(2, 8), task.batches(2, 0, 1), strict=False):
         assert batch == (step, 0, 2)
-        whole = resident.batch_of(residents, recipe.seed, step // 3, 6)
+        whole = batches.batch_of(residents, recipe.seed, step // 3, 6)
         parts = [part.chunk(3)[step % 3] for part in whole]
-        found = task.tensors(batch, CPU)
+        found = task.tensors(batch)
         assert all(torch.equal(a, b) for a, b in zip(found, parts, strict=True))
 
 

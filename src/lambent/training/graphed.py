@@ -9,7 +9,7 @@ writes them. Batch, optimiser and running mean stay outside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from torch import Tensor, nn
 #: Steps before a recording: kernels are compiled and chosen in them.
 WARM_UP = 3
 
-Loss = Callable[[nn.Module, Sequence[Tensor]], tuple[Tensor, dict[str, Tensor]]]
+Loss = Callable[[nn.Module, Sequence[Tensor]], tuple[Tensor, Mapping[str, Tensor]]]
 
 
 @dataclass
