@@ -154,7 +154,7 @@ def test_a_comparison_is_frozen(images):
 def test_progress_counts_every_metric_of_every_image(images):
     r = images.pop("reference")
     seen = []
-    compare(r, images, QUICK, progress=lambda what, done, of: seen.append((what, done, of)))
+    compare(r, images, QUICK, progress=lambda done, of, what: seen.append((what, done, of)))
     assert [s[1] for s in seen] == list(range(6))
     assert {s[2] for s in seen} == {6}
     assert seen[0][0] == "relMSE of noisy"

@@ -28,12 +28,12 @@ from lambent.denoise.pipeline import (
     view_with_beauty,
     without_beauty,
 )
-from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, OutputError
 from lambent.frame.atomic import check_target, refuse_stdout
 from lambent.frame.frame import Frame
 from lambent.frame.opening import exists, refuse_special, unreadable
 from lambent.frame.role import Role, Stat
+from lambent.progress import Progress
 
 #: The EXR attribute that holds the settings a file was made with.
 STAMP = "lambent:settings"

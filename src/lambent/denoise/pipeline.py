@@ -35,7 +35,7 @@ import numpy as np
 from lambent.denoise import memory
 from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
-from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
+from lambent.denoise.tiles import Plan, filter_tiles, parse_size, plan_tiles
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
     DEFAULT_MODEL,
@@ -49,6 +49,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.guides import split
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat, parse_role
+from lambent.progress import Progress
 
 if TYPE_CHECKING:
     from lambent.frame.repair import Repairs

@@ -8,7 +8,7 @@ networks that halve the resolution several times give the same answer only for s
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from lambent.errors import OptionError
 from lambent.filters.denoiser import Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.progress import Progress, part_of
 
 #: Tiles begin on multiples of this; 2^5 serves networks and pyramids of up to five halvings.
 ALIGNMENT = 32
@@ -25,9 +26,6 @@ ALIGNMENT = 32
 SMALLEST_CORE = 64
 
 _UNITS = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
-
-#: Called as ``progress(done, total, text)`` while work goes on.
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def filter_tiles(
     """
     total = sum(tile.outer.pixels for tile in plan.tiles)
     if len(plan.tiles) == 1:
-        return _watched(denoiser, 0, total, total, progress).filter_layers(frame, layers)
+        return denoiser.watched(progress).filter_layers(frame, layers)
     results = [np.empty(layer.data.shape, np.float32) for layer in layers]
     done = 0
     for tile in plan.tiles:
@@ -176,7 +174,9 @@ def filter_tiles(
             layer.with_data(layer.data[outer.top : outer.bottom, outer.left : outer.right])
             for layer in layers
         ]
-        worker = _watched(denoiser, done, outer.pixels, total, progress)
+        worker = denoiser
+        if progress is not None:
+            worker = denoiser.watched(part_of(progress, done, outer.pixels, total))
         inner = (
             slice(core.top - outer.top, core.bottom - outer.top),
             slice(core.left - outer.left, core.right - outer.left),
@@ -190,15 +190,6 @@ def filter_tiles(
 
 
 # ------------------------------------------------------------------- private
-
-
-def _watched(
-    denoiser: Denoiser, done: int, pixels: int, total: int, progress: Progress | None
-) -> Denoiser:
-    """A denoiser that tells how far it is with its share of the whole."""
-    if progress is None:
-        return denoiser
-    return denoiser.watched(lambda share: progress(done + share * pixels, total, "filtering"))
 
 
 def _core_sizes(extent: int) -> list[int]:

@@ -52,7 +52,8 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space
 from lambent.kernels import oidn
-from lambent.kernels.oidn import Options, Progress
+from lambent.kernels.oidn import Options
+from lambent.progress import Progress, part_of
 
 #: Working memory of OIDN per pixel in bytes, measured at 1280x720 with both guides.
 _BYTES = {"fast": 330, "balanced": 590, "high": 590}
@@ -180,7 +181,7 @@ class OIDN(Denoiser):
         guides = self._guides(frame)
         cleaned = []
         for index, layer in enumerate(layers):
-            watch = _Part(self._progress, index, len(layers)) if self._progress else None
+            watch = part_of(self._progress, index, 1, len(layers)) if self._progress else None
             cleaned.append(self._clean(frame, layer, guides, watch))
         lighting = [i for i, layer in enumerate(layers) if i and layer.role is not Role.ALPHA]
         if len(lighting) < 2:
@@ -210,7 +211,7 @@ class OIDN(Denoiser):
         return dataclasses.replace(self, _whole=_Whole(frame))
 
     def watched(self, progress: Progress | None) -> OIDN:
-        """A copy that reports its progress in [0, 1]; a callback returning False stops it."""
+        """A copy that reports its progress; what the callback raises ends it."""
         return dataclasses.replace(self, _progress=progress)
 
     def bytes_per_pixel(self, channels: int) -> int:
@@ -289,7 +290,7 @@ class OIDN(Denoiser):
             return np.clip(self._clean_part(image, look, guides, options, watch), 0, 1)
         if look.negative is None or not hdr:
             return self._clean_part(image, look, guides, options, watch)
-        watches = [_Part(watch, half, 2) if watch else None for half in (0, 1)]
+        watches = [part_of(watch, half, 1, 2) if watch else None for half in (0, 1)]
         above, below = np.maximum(image, 0), np.maximum(-image, 0)
         above = self._clean_part(above, look, guides, options, watches[0])
         below = self._clean_part(below, look.negative, guides, options, watches[1])
@@ -375,16 +376,6 @@ def _look(image: FloatImage, exposed: bool = False) -> _Look:
     lit = bool(image.any())
     grey = lit and image.shape[2] == 3 and is_grey(image)
     return _Look(lit, grey, oidn.exposure(image) if exposed and lit else None, negative)
-
-
-class _Part:
-    """Progress of one of several filterings, as progress of all of them."""
-
-    def __init__(self, progress: Progress, index: int, count: int) -> None:
-        self._progress, self._index, self._count = progress, index, count
-
-    def __call__(self, done: float) -> object:
-        return self._progress((self._index + done) / self._count)
 
 
 def _sums_of(frame: Frame, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:

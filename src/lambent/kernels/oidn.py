@@ -21,7 +21,7 @@ from __future__ import annotations
 import atexit
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -30,6 +30,7 @@ import numpy as np
 
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
+from lambent.progress import Progress
 from lambent.startup import claim, owns
 
 #: OIDN's network halves the resolution four times: tiles agree when they begin on multiples of it.
@@ -44,8 +45,6 @@ _EXPOSURE_KEY = 0.18
 _EXPOSURE_FLOOR = 1e-8
 _EXPOSURE_BLOCK = 16
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)
-
-Progress = Callable[[float], object]
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,8 @@ def clean(
     ``images``: ``"color"`` ``(H, W, 1 or 3)`` with optional ``"albedo"`` ``(H, W, 1 or 3)`` in
     [0, 1] and ``"normal"`` ``(H, W, 3)`` in [-1, 1] (only together with albedo); or ``"albedo"``
     or ``"normal"`` alone, which is then what is denoised. Returns float32 of the shape of what is
-    denoised. ``progress`` is called with values in [0, 1]; returning False stops the work.
-    Raises `EngineError` for what OIDN refuses, `KeyboardInterrupt` on Ctrl-C.
+    denoised. Raises `EngineError` for what OIDN refuses, `KeyboardInterrupt` on Ctrl-C,
+    and what ``progress`` raises.
     """
     claim(_NAME)
     if threading.current_thread() is not threading.main_thread():
@@ -223,8 +222,7 @@ def _clean(
     def monitor(done: float) -> bool:
         if progress is not None and not stop.is_set():
             try:
-                if progress(done) is False:
-                    stop.set()
+                progress(done, 1.0, "filtering")
             except BaseException as error:  # must not travel through the C++ code
                 trouble.append(error)
                 stop.set()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +32,7 @@ from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
 from lambent.kernels.oidn import exposure
 from lambent.learn.recipe import TrainRecipe
+from lambent.progress import Progress
 from lambent.settings import read_json
 
 #: Layers of a level in the file, after its three channels of colour.
@@ -43,8 +44,6 @@ VERSION = 2
 #: Layers in units of radiance: stored at the target's exposure.
 _RADIANCE = ("colour_std", "diffuse", "diffuse_std", "specular_std")
 _MOST = 6e4
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def cached(
 def stills_of(
     recipe: TrainRecipe,
     place: Path,
-    progress: Callable[..., None] | None = None,
+    progress: Progress | None = None,
     unpack: bool = True,
 ) -> list[Cached]:
     """The stills of all data of a training recipe; without ``unpack``, those cached by now.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.resident import Residents, batch_of
 from lambent.learn.task import Exportable, Pictures
+from lambent.progress import Progress
 from lambent.settings import record_from
 
 #: Subsets of layers that a network is scored with.
@@ -93,7 +94,7 @@ def cleaned(model: nn.Module, b: Batch) -> Tensor:
 
 
 def denoising_task(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    recipe: TrainRecipe, place: Path, progress: Progress | None = None
 ) -> DenoisingTask:
     """The task with the data of a recipe, cached below ``place``.
 

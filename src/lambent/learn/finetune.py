@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
 from lambent.metrics.relmse import EPSILON
+from lambent.progress import Progress
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
 CROP = 128
@@ -75,8 +76,6 @@ SQUARE, LOGARITHM = 16.0, 0.4
 #: have seen most and whose rate is the lowest.
 ALIKE = 0.02
 SUFFIX = ".reference"
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ from lambent.frame.tonemap import to_png
 from lambent.learn.graphed import Graphed
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import RecordableTask, Task
+from lambent.progress import Progress
 from lambent.settings import fits, parse_json, read_json, read_text
 
 #: Seconds from one saved state to the next.
@@ -61,8 +62,6 @@ WEIGHT_DECAY = 1e-4
 ENDLESS = 1 << 60
 #: The first process may have data to make before the others can go on.
 PATIENCE = datetime.timedelta(days=7)
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ what its loss is (`RenderedNetwork`). What they may look at is in `denoise.lobes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
@@ -26,6 +26,7 @@ from lambent.learn.cache import Cached, stills_of
 from lambent.learn.held_out import about_sets, by_oidn, errors_of, parted, spread
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Exportable, Pictures
+from lambent.progress import Progress
 from lambent.registry import Registry
 from lambent.settings import Range, record_from
 
@@ -145,7 +146,7 @@ class RenderedNetwork(Protocol):
 
 
 def rendered_task(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    recipe: TrainRecipe, place: Path, progress: Progress | None = None
 ) -> RenderedTask:
     """The task with the data of a recipe, cached below ``place``.
 

@@ -14,10 +14,11 @@ from lambent.denoise.model_file import find_model, read_model
 from lambent.frame.atomic import atomic, check_target
 from lambent.learn.data import with_data
 from lambent.learn.export import export_run, float_weights
-from lambent.learn.loop import Progress, Run, join
+from lambent.learn.loop import Run, join
 from lambent.learn.loop import train as run_loop
 from lambent.learn.recipe import TrainRecipe, load_train_recipe
 from lambent.learn.tasks import TASKS
+from lambent.progress import Progress
 from lambent.startup import cache_folder
 
 

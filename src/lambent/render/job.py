@@ -23,6 +23,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role
 from lambent.frame.sequence import has_place, put_number
+from lambent.progress import Progress
 from lambent.render import plugins
 from lambent.render.accumulate import (
     ATTRIBUTE,
@@ -93,7 +94,7 @@ def render_all(
     checkpoint: float = CHECKPOINT_SECONDS,
     device: str = "auto",
     report: Callable[[int | None, State], None] | None = None,
-    report_cycles: Callable[..., None] | None = None,
+    report_cycles: Progress | None = None,
     note: Callable[[str], None] | None = None,
     written: Callable[[Path, Moments], None] | None = None,
 ) -> list[Rendered]:
@@ -362,7 +363,7 @@ def _cycles(
     output: Any,
     numbers: tuple[int, ...] | None,
     say: Callable[[str], None],
-    progress: Any,
+    progress: Progress | None,
     **options: Any,
 ) -> list[Rendered]:
     """A .blend file, frame by frame from one Blender."""

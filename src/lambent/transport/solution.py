@@ -7,7 +7,7 @@ feature, so that what cleans a render cleans a gathered view, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,11 +17,11 @@ import numpy as np
 from lambent.archive import check_card, read_archive
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
+from lambent.progress import Progress
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
 
-Progress = Callable[[float, float, str], None]
 #: Samples a pixel of views that are without noise, and of those that gather.
 SMOOTH_SPP, GATHER_SPP = 64, 64
 

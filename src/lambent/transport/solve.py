@@ -10,9 +10,8 @@ from typing import Any
 
 from lambent.errors import FileError, OptionError, UnknownNameError
 from lambent.frame.atomic import check_target
+from lambent.progress import Progress
 from lambent.transport.solution import METHODS, method_class
-
-Progress = Callable[[float, float, str], None]
 
 
 def solve(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import OptionError, UnknownNameError, by_interrupt
 from lambent.phases import Phases
+from lambent.progress import Progress, silent
 from lambent.render.scene import LoadedScene
 from lambent.transport.diffuse import assumptions
 from lambent.transport.radiosity import adaptive, light
@@ -36,7 +37,6 @@ PEEKS = 16
 #: Rounds of refinement; each but the last adds half of what is left.
 ROUNDS = 4
 
-Progress = Callable[[float, float, str], None]
 Watch = Callable[[RadiositySolution], None]
 
 
@@ -95,7 +95,7 @@ def solve(
     solution as it grows. Ctrl-C while solving ends it; the result is marked ``interrupted``.
     Raises `OptionError`: no surface, nothing lights any, too little memory for the solver.
     """
-    work = _Work(loaded, settings, progress or (lambda done, total, text: None), watch)
+    work = _Work(loaded, settings, progress or silent, watch)
     return work.go_on(start) if start is not None else work.begin()
 
 
@@ -311,13 +311,13 @@ class _Work:
 
             g, seen = exchange_matrix(
                 self.scene, patches, probe, faces, live, wish.seed,
-                lambda done, total: self.progress(done, total, f"{words}form factors by pairs"),
+                lambda done, total, text: self.progress(done, total, words + text),
             )  # fmt: skip
             factors, off = balanced(g, area, seen)
             return factors, None, off
         found = cast(
             self.scene, patches, probe, faces, live, wish.rays, wish.seed,
-            lambda done, total: self.progress(done, total, f"{words}form factors by rays"),
+            lambda done, total, text: self.progress(done, total, words + text),
         )  # fmt: skip
         shares = found.shares[:, faces]
         seen = np.asarray(shares.sum(axis=1)).ravel()
