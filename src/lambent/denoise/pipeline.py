@@ -36,6 +36,7 @@ from lambent.denoise import memory
 from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
 from lambent.denoise.tiles import Plan, filter_tiles, parse_size, plan_tiles
+from lambent.device import check_device
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
     DEFAULT_MODEL,
@@ -121,8 +122,7 @@ class Settings:
                 f"strength {strength:g} is outside 0 to 1",
                 remedy="0 leaves the frame as it is, 1 takes the denoised one",
             )
-        if device not in ("auto", "cpu", "cuda"):
-            raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+        check_device(device)
         if threads is not None and threads < 1:
             raise OptionError(
                 f"{threads} threads cannot work", remedy="give 1 or more, or leave it out for all"

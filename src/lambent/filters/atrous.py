@@ -29,7 +29,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Scales, features, fit_scales
 from lambent.filters.log_colour import fit_exposure
 from lambent.frame.frame import Frame

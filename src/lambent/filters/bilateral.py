@@ -18,7 +18,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.log_colour import fit_exposure, log_colour
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage

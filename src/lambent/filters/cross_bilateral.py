@@ -24,8 +24,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.filters.bilateral import gaussian_weight, log_gaussian
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales
 from lambent.filters.log_colour import fit_exposure, log_colour
 from lambent.frame.frame import Frame

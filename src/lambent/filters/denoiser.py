@@ -32,8 +32,6 @@ from lambent.frame.role import INFO, Role, Stat
 from lambent.progress import Progress
 from lambent.registry import Registry
 
-Device = Literal["auto", "cpu", "cuda"]
-
 
 @dataclass(frozen=True)
 class About:

@@ -45,8 +45,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
 from lambent.filters.nfor_tuned import NFORTuned, finite, noisy_roles
 from lambent.frame.frame import Frame

@@ -37,7 +37,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
 from lambent.filters.log_colour import fit_exposure, log_colour, noise_level
 from lambent.frame.frame import Frame

@@ -45,8 +45,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.sums import Term, find_sums, has_negative_light, keep_sums, terms
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer

@@ -40,8 +40,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Scales, features, fit_scales, noise_level, variance_of
 from lambent.filters.log_colour import fit_exposure
 from lambent.frame.frame import Frame

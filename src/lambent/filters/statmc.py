@@ -32,8 +32,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.errors import LayerError, OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, features, noise_level, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage

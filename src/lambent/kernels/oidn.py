@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from lambent.device import check_device
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
 from lambent.progress import Progress
@@ -170,9 +171,8 @@ def _device(kind: str, threads: int | None) -> Any:
     key = (kind, threads)
     if key not in _devices:
         oidn = _library()
+        check_device(kind)
         types = {"auto": "Default", "cpu": "CPU", "cuda": "CUDA"}
-        if kind not in types:
-            raise EngineError(f"there is no device '{kind}'", remedy="take auto, cpu or cuda")
         try:
             device = oidn.Device(getattr(oidn.DeviceType, types[kind]))
             if threads is not None and device.type == oidn.DeviceType.CPU:

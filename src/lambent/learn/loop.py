@@ -38,9 +38,9 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lambent import __version__
+from lambent.device import choose_device
 from lambent.errors import (
     DamagedFileError,
-    EngineError,
     FileError,
     OptionError,
     stop_by_interrupt,
@@ -310,13 +310,7 @@ def join(device: str) -> Process:
 
     Raises `OptionError` for an unknown device, `EngineError` for one that is not there.
     """
-    if device not in ("auto", "cpu", "cuda"):
-        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise EngineError(
-            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
-        )
-    kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+    kind = choose_device(device, torch.cuda.is_available)
     world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
     here = int(os.environ.get("LOCAL_RANK", 0))
     place = torch.device("cuda", here) if kind == "cuda" else torch.device("cpu")

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from lambent.device import check_device
 from lambent.errors import DamagedFileError, EngineError, FileError, OptionError, UnknownNameError
 from lambent.frame.atomic import atomic, check_target
 from lambent.frame.files import read, write
@@ -182,8 +183,7 @@ def _check_options(
         raise OptionError(f"a path has 0 to 1024 bounces, not {depth}")
     if time is not None and not time > 0:
         raise OptionError(f"a time limit of {time} s leaves no time")
-    if device not in ("auto", "cpu", "cuda"):
-        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+    check_device(device)
     if passes not in ("all", "light"):
         raise OptionError(f"there is no set of passes '{passes}'", remedy="take all or light")
 
