@@ -7,7 +7,8 @@ import pytest
 
 from lambent.errors import LayerError
 from lambent.filters.denoiser import create
-from lambent.filters.log_colour import DARK, fit_exposure, log_colour, noise_level
+from lambent.filters.log_colour import DARK, log_colour, noise_level
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
 
@@ -231,7 +232,7 @@ def test_noise_level_of_white_noise_and_of_pictures():
 
 def test_log_colour_compares_by_ratio():
     frame, _ = scene()
-    exposure = fit_exposure(frame)
+    exposure = auto_exposure(frame.colour)
     bright = np.array([[[1.0, 1.1, 100.0]]], np.float32) / np.float32(exposure)
     g = log_colour(bright, exposure)[0, 0]
     assert g[1] - g[0] == pytest.approx(math.log((1.1 + DARK) / (1 + DARK)), abs=1e-5)

@@ -15,6 +15,7 @@ import pytest
 from lambent.errors import EngineError, OptionError
 from lambent.filters.denoiser import create
 from lambent.filters.oidn import OIDN, OIDNBalanced, OIDNBest, OIDNFast, is_grey
+from lambent.frame.exposure import block_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Space
@@ -187,7 +188,7 @@ def test_exposure_is_the_librarys(size):
     image = (rng.gamma(0.5, 8, (*size, 3))).astype(np.float32)
     image[: size[0] // 3] = 0  # black blocks do not count
     automatic = oidn.clean({"color": image}, Options())
-    scale = oidn.exposure(image)
+    scale = block_exposure(image)
     given = oidn.clean({"color": image}, Options(input_scale=scale))
     off = oidn.clean({"color": image}, Options(input_scale=1.01 * scale))
     peak = automatic.max()
@@ -196,8 +197,8 @@ def test_exposure_is_the_librarys(size):
 
 
 def test_exposure_of_nothing_is_one():
-    assert oidn.exposure(np.zeros((20, 20, 3), np.float32)) == 1.0
-    assert np.isfinite(oidn.exposure(np.full((20, 20, 1), np.nan, np.float32)))
+    assert block_exposure(np.zeros((20, 20, 3), np.float32)) == 1.0
+    assert np.isfinite(block_exposure(np.full((20, 20, 1), np.nan, np.float32)))
 
 
 @pytest.mark.parametrize("model", [OIDNFast(), OIDN(clean_aux=True)])

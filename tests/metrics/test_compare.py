@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lambent.errors import LayerError, OptionError, UnknownNameError
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
-from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.compare import compare, number
 from lambent.metrics.metric import METRICS
 from lambent.metrics.relmse import relmse, relmse_map

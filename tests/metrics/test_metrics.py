@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lambent.errors import LayerError, OptionError, UnknownNameError
-from lambent.frame.tonemap import auto_exposure, display
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import display
 from lambent.metrics.flip import PPD, flip_hdr, flip_hdr_map, flip_ldr, flip_ldr_map, hdr_exposures
 from lambent.metrics.metric import METRICS
 from lambent.metrics.pair import Pair

@@ -22,9 +22,10 @@ from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import WholeScene, open_source
 from lambent.errors import FileError, stop_by_interrupt
 from lambent.frame.atomic import atomic
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 from lambent.phases import Phases
 from lambent.progress import Progress, silent
 

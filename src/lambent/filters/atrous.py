@@ -32,7 +32,7 @@ import numpy as np
 from lambent.device import Device
 from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Scales, features, fit_scales
-from lambent.filters.log_colour import fit_exposure
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role
@@ -73,7 +73,9 @@ class ATrous(Denoiser):
 
     def fitted(self, frame: Frame) -> ATrous:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """À-trous mean of ``targets`` ``(H, W, C)``, weights from colour and features."""
@@ -121,7 +123,7 @@ class ATrous(Denoiser):
 
     def _guides(self, frame: Frame) -> tuple[FloatImage, FloatImage | None, FloatImage | None]:
         """What is filtered along, the features over their σ, and the variance of these."""
-        exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+        exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
         guide = frame.colour * np.float32(exposure)
         place = Role.POSITION if frame.has(Role.POSITION) else Role.DEPTH
         roles = [role for role in (Role.NORMAL, place) if frame.has(role)]

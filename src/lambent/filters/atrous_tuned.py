@@ -20,7 +20,8 @@ import numpy as np
 from lambent.filters.atrous import ATrous
 from lambent.filters.denoiser import About
 from lambent.filters.features import features
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 
@@ -48,7 +49,7 @@ class ATrousTuned(ATrous):
         return [(4.0**level / self.sigma_colour**2, 1.0) for level in range(self.levels)]
 
     def _guides(self, frame: Frame) -> tuple[FloatImage, FloatImage | None, FloatImage | None]:
-        exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+        exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
         guide = log_colour(frame.colour, exposure)
         found = features(frame, scales=self._scales)
         if not len(found):

@@ -28,7 +28,8 @@ from lambent.device import Device
 from lambent.filters.bilateral import gaussian_weight, log_gaussian
 from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 
@@ -65,7 +66,9 @@ class CrossBilateral(Denoiser):
 
     def fitted(self, frame: Frame) -> CrossBilateral:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """Cross-bilateral mean of ``targets`` ``(H, W, C)``, weights from the features."""
@@ -76,7 +79,7 @@ class CrossBilateral(Denoiser):
         guide = found.stack * scale
         weight = gaussian_weight
         if self.sigma_colour is not None:
-            exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+            exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
             colour = log_colour(frame.colour, exposure)
             colour *= np.float32(1 / (math.sqrt(2) * self.sigma_colour))
             guide = np.concatenate([guide, colour], axis=2)

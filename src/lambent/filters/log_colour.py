@@ -11,17 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.frame.tonemap import auto_exposure
 
 #: Exposed radiance that is dark: about three stops below mid-grey.
 DARK = 0.02
-
-
-def fit_exposure(frame: Frame) -> float:
-    """The exposure of the whole frame, to be handed to each of its tiles."""
-    return auto_exposure(frame.colour)
 
 
 def log_colour(colour: NDArray[np.float32], exposure: float) -> FloatImage:

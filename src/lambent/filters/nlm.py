@@ -40,7 +40,8 @@ import numpy as np
 from lambent.device import Device
 from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
-from lambent.filters.log_colour import fit_exposure, log_colour, noise_level
+from lambent.filters.log_colour import log_colour, noise_level
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
@@ -83,7 +84,7 @@ class NonLocalMeans(Denoiser):
 
     def fitted(self, frame: Frame) -> Denoiser:
         """With exposure and noise level of the whole frame."""
-        exposure = fit_exposure(frame)
+        exposure = auto_exposure(frame.colour)
         noise = noise_level(log_colour(frame.colour, exposure))
         return dataclasses.replace(self, _exposure=exposure, _noise=noise)
 
@@ -104,7 +105,7 @@ class NonLocalMeans(Denoiser):
         joint = None if guide is None else (guide, distance)
         variance = variance_of(frame, Role.COLOUR)
         if variance is None:
-            exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+            exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
             colour = log_colour(frame.colour, exposure)
             noise = noise_level(colour) if self._noise is None else self._noise
             # the formula above with v = noise² everywhere; 1e-4 keeps a clean image as it is

@@ -23,7 +23,7 @@ What Lambent adds around it:
   samples would stay: OIDN takes an image of 0 and 1 for a clean one (error at 1, 4, 16, 64
   samples of a smooth cover: 0.53, 0.15, 0.026, 0.010; as radiance: 0.042, 0.021, 0.012, 0.009).
 - *Tiles that agree.* OIDN exposes each image by itself. `OIDN.fitted` takes the exposure from the
-  whole frame (`lambent.kernels.oidn.exposure`). With tiles that begin at multiples of 16 and the
+  whole frame (`lambent.frame.exposure`). With tiles that begin at multiples of 16 and the
   margin that OIDN's own tiling uses (96 pixels; 112 for quality high with clean guides), tiled
   and untiled results are bit for bit equal. Measured on noise over texture, as the largest
   difference from the untiled pixel relative to it: margin 16: 0.15, 32: 0.1, 64: 0.02,
@@ -49,6 +49,7 @@ from lambent.device import Device
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.sums import Term, find_sums, has_negative_light, keep_sums, terms
+from lambent.frame.exposure import block_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space
@@ -376,7 +377,7 @@ def _look(image: FloatImage, exposed: bool = False) -> _Look:
         image = np.maximum(image, 0)
     lit = bool(image.any())
     grey = lit and image.shape[2] == 3 and is_grey(image)
-    return _Look(lit, grey, oidn.exposure(image) if exposed and lit else None, negative)
+    return _Look(lit, grey, block_exposure(image) if exposed and lit else None, negative)
 
 
 def _sums_of(frame: Frame, layers: Sequence[Layer]) -> list[tuple[Term, ...]]:

@@ -44,7 +44,7 @@ from lambent.device import Device
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Scales, features, fit_scales, noise_level, variance_of
-from lambent.filters.log_colour import fit_exposure
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role
@@ -125,7 +125,9 @@ class SUREFilter(Denoiser):
 
     def fitted(self, frame: Frame) -> SUREFilter:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """The targets ``(H, W, C)`` at the scale that suits the beauty best, pixel by pixel."""
@@ -233,7 +235,7 @@ class SUREFilter(Denoiser):
         return means[:, :, :3], squares, total, means[:, :, first : first + targets.shape[2]]
 
     def _exposed(self, frame: Frame) -> float:
-        return fit_exposure(frame) if self._exposure is None else self._exposure
+        return auto_exposure(frame.colour) if self._exposure is None else self._exposure
 
 
 def reach(sigma: float) -> int:

@@ -42,11 +42,6 @@ _KEPT = 4
 
 _NAME = "Open Image Denoise"
 
-_EXPOSURE_KEY = 0.18
-_EXPOSURE_FLOOR = 1e-8
-_EXPOSURE_BLOCK = 16
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)
-
 
 @dataclass(frozen=True)
 class Options:
@@ -106,28 +101,6 @@ def clean(
     if failure:
         raise failure[0]
     return outcome[0]
-
-
-def exposure(colour: FloatImage) -> float:
-    """The input scale that OIDN finds for an HDR image ``(H, W, 1 or 3)``.
-
-    The log-average, over blocks of about 16x16 pixels, of the mean luminance is taken to 0.18;
-    blocks darker than 1e-8 do not count. NaN and negative values count as 0. An image without
-    light has scale 1. OIDN computes the same in lower precision: the results of a scale given and
-    one found differ by 3e-6 of the brightest pixel at most (measured).
-    """
-    light = np.clip(np.nan_to_num(colour, nan=0.0), 0.0, np.finfo(np.float32).max)
-    y = light[..., 0] if light.shape[2] == 1 else light @ _LUMINANCE
-    for axis in (0, 1):
-        size = y.shape[axis]
-        blocks = -(-size // _EXPOSURE_BLOCK)
-        edges = np.arange(blocks + 1) * size // blocks
-        widths = np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
-        y = np.add.reduceat(y, edges[:-1], axis=axis, dtype=np.float64) / widths
-    y = y[y > _EXPOSURE_FLOOR]
-    if y.size == 0:
-        return 1.0
-    return float(_EXPOSURE_KEY / np.exp2(np.log2(y).mean()))
 
 
 def overlap(options: Options, aux: bool = True) -> int:

@@ -31,11 +31,11 @@ from lambent.denoise.inputs import Signals, signals_of
 from lambent.denoise.model_file import find_model, read_model
 from lambent.denoise.samples import seeming_samples
 from lambent.errors import LayerError, OptionError
+from lambent.frame.exposure import block_exposure
 from lambent.frame.files import read
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
-from lambent.kernels.oidn import exposure
 from lambent.learn import losses
 from lambent.learn.augment import Example, recoloured, turned
 from lambent.learn.batches import Row, ahead, ready
@@ -161,7 +161,7 @@ def pairs_of(path: Path) -> list[Pair]:
     """The pairs of a frame: with its reference, or its two halves either way round."""
     frame = read(path)
     other = path.with_name(f"{path.stem}{SUFFIX}{path.suffix}")
-    factor = np.float32(exposure(frame.colour))
+    factor = np.float32(block_exposure(frame.colour))
     epsilon = EPSILON * float(factor) ** 2
     if other.exists():
         reference = read(other).colour

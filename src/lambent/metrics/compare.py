@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from lambent.errors import LayerError, OptionError
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
-from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.align import Cut, aligned
 from lambent.metrics.metric import METRICS, Metric, chosen
 from lambent.metrics.pair import FloatArray, Pair, as_rgb

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lambent.frame.tonemap import luminance
+from lambent.frame.luma import luminance
 from lambent.frame.windows import Windows
 from lambent.metrics.pair import FloatArray
 
