@@ -220,7 +220,7 @@ def _print_result(result: Result, written: dict[str, Path]) -> None:
 
 
 def _timings(result: Result) -> str:
-    from lambent.denoise.tiles import show_size
+    from lambent.memory import show_size
 
     parts = [
         f"{stage} {show_seconds(result.seconds[stage])}"

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lambent.denoise import memory
+from lambent import memory
 from lambent.denoise.pipeline import (
     Settings,
     choose_layers,

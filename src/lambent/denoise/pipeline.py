@@ -32,10 +32,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lambent.denoise import memory
+from lambent import memory
 from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
-from lambent.denoise.tiles import Plan, filter_tiles, parse_size, plan_tiles
+from lambent.denoise.tiles import Plan, filter_tiles, plan_tiles
 from lambent.device import check_device
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
@@ -145,7 +145,7 @@ class Settings:
             alpha=alpha,
             roles=chosen,
             spp=spp,
-            max_memory=None if max_memory is None else parse_size(max_memory),
+            max_memory=None if max_memory is None else memory.parse_size(max_memory),
             threads=threads,
             device=device,
             params=dict(params or {}),

@@ -7,7 +7,6 @@ networks that halve the resolution several times give the same answer only for s
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from lambent.errors import OptionError
 from lambent.filters.denoiser import Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.memory import show_size
 from lambent.progress import Progress, part_of
 
 #: Tiles begin on multiples of this; 2^5 serves networks and pyramids of up to five halvings.
@@ -24,8 +24,6 @@ ALIGNMENT = 32
 
 #: Cores smaller than this would spend nearly all work on margins.
 SMALLEST_CORE = 64
-
-_UNITS = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
 
 
 @dataclass(frozen=True)
@@ -71,41 +69,6 @@ class Plan:
             f"{outer.right - outer.left}x{outer.bottom - outer.top} with a margin of "
             f"{self.margin}, {show_size(self.working_bytes)} of working memory"
         )
-
-
-#: A bare number below this is a forgotten unit.
-_LEAST = 1 << 20
-
-
-def parse_size(text: str | int) -> int:
-    """``"4G"``, ``"512 MB"``, ``"1.5GiB"`` or a number of bytes, to bytes (binary units).
-
-    Raises `OptionError` for anything else and for sizes that are not positive.
-    """
-    if isinstance(text, int):
-        size = text
-    else:
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(?:i?b)?\s*", text.lower())
-        size = int(float(match[1]) * _UNITS[match[2]]) if match else 0
-    if isinstance(text, str) and text.strip().isdigit() and 0 < size < _LEAST:
-        raise OptionError(
-            f"'{text}' without a unit is {size} bytes of memory, in which nothing can be done",
-            remedy=f"write it with a unit: {text.strip()}G, or {text.strip()}M",
-        )
-    if size <= 0:
-        raise OptionError(
-            f"'{text}' is no size of memory", remedy="write it like 4G, 512M or 1.5GiB"
-        )
-    return size
-
-
-def show_size(size: float) -> str:
-    """Bytes as people write them: ``"3.7 GiB"``."""
-    for unit in ("B", "KiB", "MiB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.3g} {unit}"
-        size /= 1024
-    return f"{size:.2f} GiB" if size < 10 else f"{size:.1f} GiB"
 
 
 def plan_tiles(
