@@ -7,9 +7,10 @@ import pytest
 
 from lambent.errors import LayerError
 from lambent.filters.denoiser import create
-from lambent.filters.log_colour import DARK, log_colour, noise_level
+from lambent.filters.log_colour import DARK, log_colour
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
+from lambent.frame.noise_level import haar_level
 from lambent.frame.role import Role
 
 MODELS = (
@@ -222,12 +223,12 @@ def test_noise_level_of_white_noise_and_of_pictures():
     """σ is found within 3 %, and edges or black background do not count."""
     rng = np.random.default_rng(9)
     noise = (0.05 * rng.normal(size=(200, 200, 3))).astype(np.float32)
-    assert noise_level(noise) == pytest.approx(0.05, rel=0.03)
+    assert haar_level(noise) == pytest.approx(0.05, rel=0.03)
     stripes = noise + (np.arange(200) // 20 % 2)[None, :, None].astype(np.float32)
-    assert noise_level(stripes) == pytest.approx(0.05, rel=0.03)
+    assert haar_level(stripes) == pytest.approx(0.05, rel=0.03)
     stripes[:150] = 0
-    assert noise_level(stripes) == pytest.approx(0.05, rel=0.05)
-    assert noise_level(np.ones((8, 8, 3), np.float32)) == 0
+    assert haar_level(stripes) == pytest.approx(0.05, rel=0.05)
+    assert haar_level(np.ones((8, 8, 3), np.float32)) == 0
 
 
 def test_log_colour_compares_by_ratio():

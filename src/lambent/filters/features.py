@@ -39,7 +39,7 @@ from lambent.frame.role import INFO, Role, Stat
 
 #: Pixels around a pixel that its features may depend on (the variance from half buffers).
 MARGIN = 2
-#: Noise below this share of the mean does not count in `noise_level`.
+#: Noise below this share of the mean does not count in `smoothed_variance`.
 _FLOOR = 1e-3
 
 
@@ -186,7 +186,7 @@ def variance_of(frame: Frame, role: Role) -> FloatImage | None:
     return _mean_5x5(raw.astype(np.float32))
 
 
-def noise_level(frame: Frame) -> FloatImage:
+def smoothed_variance(frame: Frame) -> FloatImage:
     """The variance of the colour ``(H, W)``, over 3x3 pixels and channels; positive.
 
     A variance from n samples of heavy-tailed light is unreliable, and low where the mean is low by

@@ -43,7 +43,14 @@ from numpy.typing import NDArray
 from lambent.device import Device
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
-from lambent.filters.features import MARGIN, Scales, features, fit_scales, noise_level, variance_of
+from lambent.filters.features import (
+    MARGIN,
+    Scales,
+    features,
+    fit_scales,
+    smoothed_variance,
+    variance_of,
+)
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -210,7 +217,7 @@ class SUREFilter(Denoiser):
             result = np.zeros((*stack.shape[:2], 2), np.float32)
             result[:, :, 1] = 1
         if self.by_variance:
-            result = np.concatenate([result, noise_level(frame)[:, :, None]], axis=2)
+            result = np.concatenate([result, smoothed_variance(frame)[:, :, None]], axis=2)
         result[~found.valid] = np.nan
         return result
 

@@ -35,7 +35,7 @@ import numpy as np
 from lambent.device import Device
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import About, Denoiser
-from lambent.filters.features import MARGIN, features, noise_level, variance_of
+from lambent.filters.features import MARGIN, features, smoothed_variance, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
@@ -108,7 +108,7 @@ class StatMC(Denoiser):
         seen = features(frame, [role for role in widths if frame.has(role)])
         scale = [sigma for role, sigma in widths.items() for _ in seen.index(role)]
         stack = seen.stack / np.asarray(scale, np.float32) / np.float32(np.sqrt(2))
-        noise = noise_level(frame) if self.by_variance else None
+        noise = smoothed_variance(frame) if self.by_variance else None
         return welch_mean(targets, mean, bound, stack, self.radius, self.sigma, self.device, noise)
 
     def tested(self, frame: Frame) -> tuple[FloatImage, FloatImage, float]:
