@@ -68,7 +68,7 @@ _SMOOTH = 3
 _VARIANCE_SMOOTH = 1
 #: Half side of the box over which the choice is averaged.
 _CHOICE_SMOOTH = 2
-#: Radiance squared below which errors count absolutely (that of relMSE).
+#: Radiance squared below which errors count absolutely.
 _DARK = 0.01
 #: The candidates: w⁴ has half the bandwidth of w.
 _POWERS = (4, 1)

@@ -41,12 +41,11 @@ from lambent.learn.augment import Example, recoloured, turned
 from lambent.learn.batches import Row, ahead, ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
-from lambent.learn.held_out import TRIMMED
 from lambent.learn.loop import train
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.recipe import TrainRecipe
-from lambent.metrics.relmse import EPSILON
+from lambent.metrics.relmse import EPSILON, TRIM, relative, trimmed_mean
 from lambent.progress import Progress
 
 #: Side of a crop, in pixels, and of the tiles that are held out.
@@ -293,12 +292,11 @@ class FinetuneTask:
             if pair.noisy_target:
                 error, change = _against_half(out, target, first, pair.epsilon)
                 unsure.append(change)
+                errors.append(float(error.mean()))
             else:
-                size = target.mean(1, keepdim=True) ** 2 + pair.epsilon
-                error = ((out - target) ** 2 / size).mean(1)
+                error = relative((out - target) ** 2, target.mean(1, keepdim=True), pair.epsilon)
                 # a lamp's rim would outweigh all else: the trimmed error, as everywhere
-                error = error[error <= torch.quantile(error, 1 - TRIMMED)]
-            errors.append(float(error.mean()))
+                errors.append(trimmed_mean(error.mean(1).cpu().numpy(), TRIM))
         score = float(np.mean(errors))
         if unsure:  # what may be better by chance alone is not
             changes = torch.cat(unsure)
@@ -339,9 +337,9 @@ def _against_half(
     to each output a brighter one would be the better one. The half's noise is in both errors; what
     is left of it in the change is so much smaller as the outputs are alike.
     """
-    size = first.mean(1, keepdim=True) ** 2 + epsilon
-    before = ((first - half) ** 2 / size).mean(1, keepdim=True)
-    after = ((out - half) ** 2 / size).mean(1, keepdim=True)
+    centre = first.mean(1, keepdim=True)
+    before = relative((first - half) ** 2, centre, epsilon).mean(1, keepdim=True)
+    after = relative((out - half) ** 2, centre, epsilon).mean(1, keepdim=True)
     return after, F.avg_pool2d(after - before, BLOCK).flatten()
 
 
