@@ -130,14 +130,9 @@ class ATrous(Denoiser):
         if not roles:
             return guide, None, None
         found = features(frame, roles, self._scales)
-        sigmas = {
-            "normal": self.sigma_normal,
-            "position": self.sigma_position,
-            "depth": self.sigma_depth,
-            "miss": 0.25,
-        }
-        stops = found.stack / np.array([sigmas[n.partition(".")[0]] for n in found.names])
-        stops = stops.astype(np.float32)
+        stops = found.stack * found.per_sigma(
+            normal=self.sigma_normal, position=self.sigma_position, depth=self.sigma_depth
+        )
         if Role.NORMAL not in roles:  # its place stays: the factors go by position
             nothing = np.zeros((*stops.shape[:2], 3), np.float32)
             stops = np.concatenate([nothing, stops], axis=2)

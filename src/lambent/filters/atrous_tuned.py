@@ -54,19 +54,12 @@ class ATrousTuned(ATrous):
         found = features(frame, scales=self._scales)
         if not len(found):
             return guide, None, None
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
-        sigma = np.array([sigmas[n.partition(".")[0]] for n in found.names], np.float32)
-        stops = found.stack / sigma
+        scale = found.per_sigma(
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
+        stops = found.stack * scale
         if not found.valid.all():
             stops[~found.valid] = np.nan  # takes no part
-        noise = None if found.variance is None else found.variance / sigma**2
+        noise = None if found.variance is None else found.variance * scale**2
         return guide, stops, noise

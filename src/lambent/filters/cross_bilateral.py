@@ -27,7 +27,7 @@ import numpy as np
 from lambent.device import Device
 from lambent.filters.bilateral import gaussian_weight, log_gaussian
 from lambent.filters.denoiser import About, Denoiser
-from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales
+from lambent.filters.features import MARGIN, Scales, features, fit_scales
 from lambent.filters.log_colour import log_colour
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
@@ -75,7 +75,11 @@ class CrossBilateral(Denoiser):
         from lambent.kernels.window import weighted_window
 
         found = features(frame, scales=self._scales)
-        scale = self._factors(found)
+        scale = found.per_sigma(
+            math.sqrt(2),
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
         guide = found.stack * scale
         weight = gaussian_weight
         if self.sigma_colour is not None:
@@ -99,21 +103,6 @@ class CrossBilateral(Denoiser):
             spatial=log_gaussian(self.radius, self.sigma_spatial),
             device=self.device,
         )
-
-    def _factors(self, found: Features) -> FloatImage:
-        """1/(√2·σ) for each feature channel."""
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
-        names = [name.partition(".")[0] for name in found.names]
-        return np.array([1 / (math.sqrt(2) * sigmas[n]) for n in names], np.float32)
 
 
 def discounted_weight(p: list[Any], q: list[Any], k: list[Any], s: Any) -> Any:

@@ -192,19 +192,12 @@ class SUREFilter(Denoiser):
         the noise level is one more plane at the end: an odd number.
         """
         found = features(frame, scales=self._scales)
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
         # Over the floor, so that the least σ_i² + σ_j² is 1.
-        scale = [1 / math.sqrt(2 * self.floor) / sigmas[n.partition(".")[0]] for n in found.names]
-        stack = found.stack * np.array(scale, np.float32)
+        stack = found.stack * found.per_sigma(
+            math.sqrt(2 * self.floor),
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
         spread = np.zeros_like(stack) if found.variance is None else found.variance
         spread = spread * np.float32((frame.spp or 1) / self.floor)
         if self.sigma_colour is not None:
