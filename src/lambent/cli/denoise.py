@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 EPILOG = (
     "Examples: lambent denoise noisy.exr --preview; "
     "lambent denoise shot.####.exr -o clean/shot.####.exr --frames 1-50; "
-    "lambent denoise noisy.exr --model nfor --passes all --strength 0.9"
+    "lambent denoise noisy.exr --model nfor-tuned --passes all --strength 0.9"
 )
 
 

@@ -162,11 +162,14 @@ class Denoiser:
             keys = [parse_role(n) for n in need.split("|")]
             if not any(frame.has(*key) for key in keys):
                 error = frame.missing(*keys[0])
+                remedy, ours = error.remedy, f"{self.about.name}-tuned"
+                if ours in DENOISERS and need not in DENOISERS[ours].about.needs:
+                    remedy = f"take the model {ours}, which does without; or {remedy}"
                 raise LayerError(
                     f"the model '{self.about.name}' needs {need.replace('|', ' or ')}: "
                     f"{error.message}",
                     file=frame.path,
-                    remedy=error.remedy,
+                    remedy=remedy,
                 )
 
 
