@@ -165,7 +165,7 @@ def _failures(rows: list[Row], kind: str, model: str, spp: int) -> list[str]:
 
 def speed_worker(model: str, layers: int) -> None:
     """Print the median of five warm calls, and the peak memory, as JSON."""
-    from lambent.denoise import memory
+    from lambent import memory
     from lambent.filters.denoiser import create
     from lambent.frame.frame import Frame
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import to_uint8
 from lambent.scenes.cycles import CyclesWorker
 
 OUT = Path(__file__).resolve().parent / "pictures" / "cycles_scenes.jpg"

@@ -18,9 +18,9 @@ import numpy as np
 from make_pictures import OUT, cut, save, sheet
 
 from lambent.filters.denoiser import create
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.files import read
 from lambent.frame.role import Role, Stat
-from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.relmse import TRIM, relmse
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "benchmarks"))

@@ -23,8 +23,9 @@ import numpy as np
 from make_pictures import OUT, cut, save, sheet
 
 from lambent.filters.denoiser import create
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.files import read
-from lambent.frame.tonemap import auto_exposure, srgb
+from lambent.frame.tonemap import srgb
 from lambent.metrics.relmse import relmse
 
 #: Scenes in the public domain, and a detail of each at a third of its size: left, top, w, h.

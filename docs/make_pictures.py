@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError
 from lambent.filters.denoiser import DENOISERS, create
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.files import read
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 from lambent.metrics.relmse import relmse
 
 HERE = Path(__file__).resolve().parent

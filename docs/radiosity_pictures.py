@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw
 
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import to_uint8
 from lambent.render.variant import mitsuba
 
 HERE = Path(__file__).resolve().parent

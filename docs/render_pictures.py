@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "pictures"

@@ -14,7 +14,13 @@ HERE = Path(__file__).resolve().parent
 
 #: Folders and files whose tests import PyTorch, Ray, Playwright or OpenCV. All their tests get the
 #: mark `heavy`; a single test elsewhere that needs one of these is marked where it stands.
-HEAVY = ("learn", "training", "cli/test_train.py", "dataset/test_cluster.py", "report/test_browser.py")
+HEAVY = (
+    "learn",
+    "training",
+    "cli/test_train.py",
+    "dataset/test_cluster.py",
+    "report/test_browser.py",
+)
 
 
 def _heavy(path: Path) -> bool:

@@ -16,6 +16,7 @@ import sys
 import sysconfig
 from pathlib import Path
 
+from lambent.device import choose_device
 from lambent.errors import EngineError
 
 #: The oldest LLVM that our kernels are tested with. 15 aborts the process in them.
@@ -90,21 +91,17 @@ def has_cuda() -> bool:
 def engine(device: str = "auto") -> str:
     """The Dr.Jit backend for a device: ``"llvm"`` or ``"cuda"``.
 
-    Raises `EngineError` where the wish cannot be met, with what to install.
+    "auto" is the processor, and CUDA only where LLVM is missing.
+    Raises `OptionError` for an unknown device, `EngineError` where the wish cannot be met, with
+    what to install.
     """
     claim("Dr.Jit")
-    if device not in ("auto", "cpu", "cuda"):
-        raise EngineError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
-    if device == "cuda":
-        if not has_cuda():
-            raise EngineError(
-                "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
-            )
+    if device == "auto" and has_llvm():
+        return "llvm"
+    if choose_device(device, has_cuda) == "cuda":
         return "cuda"
     if has_llvm():
         return "llvm"
-    if device == "auto" and has_cuda():
-        return "cuda"
     raise EngineError(
         "no LLVM library was found, which all models but oidn* are compiled with",
         remedy="pip install karellen-llvm-core, or set DRJIT_LIBLLVM_PATH to a libLLVM; "

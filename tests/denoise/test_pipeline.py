@@ -190,7 +190,7 @@ def test_tiles_give_the_same_result():
     rng = np.random.default_rng(5)
     noisy = Frame.from_arrays(colour=rng.random((400, 300, 3), np.float32))
     whole = lambent.denoise(noisy, model="mean").colour
-    from lambent.denoise import memory
+    from lambent import memory
     from lambent.denoise.pipeline import RESERVE
 
     limit = int((memory.used() + 4 * 3 * 120000 + 10_000_000) / (1 - RESERVE))

@@ -8,11 +8,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from lambent.denoise.tiles import ALIGNMENT, filter_tiles, parse_size, plan_tiles, show_size
+from lambent.denoise.tiles import ALIGNMENT, filter_tiles, plan_tiles
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
+from lambent.memory import parse_size, show_size
 
 
 @dataclass(frozen=True)

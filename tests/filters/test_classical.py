@@ -7,8 +7,10 @@ import pytest
 
 from lambent.errors import LayerError
 from lambent.filters.denoiser import create
-from lambent.filters.log_colour import DARK, fit_exposure, log_colour, noise_level
+from lambent.filters.log_colour import DARK, log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
+from lambent.frame.noise_level import haar_level
 from lambent.frame.role import Role
 
 MODELS = (
@@ -221,17 +223,17 @@ def test_noise_level_of_white_noise_and_of_pictures():
     """σ is found within 3 %, and edges or black background do not count."""
     rng = np.random.default_rng(9)
     noise = (0.05 * rng.normal(size=(200, 200, 3))).astype(np.float32)
-    assert noise_level(noise) == pytest.approx(0.05, rel=0.03)
+    assert haar_level(noise) == pytest.approx(0.05, rel=0.03)
     stripes = noise + (np.arange(200) // 20 % 2)[None, :, None].astype(np.float32)
-    assert noise_level(stripes) == pytest.approx(0.05, rel=0.03)
+    assert haar_level(stripes) == pytest.approx(0.05, rel=0.03)
     stripes[:150] = 0
-    assert noise_level(stripes) == pytest.approx(0.05, rel=0.05)
-    assert noise_level(np.ones((8, 8, 3), np.float32)) == 0
+    assert haar_level(stripes) == pytest.approx(0.05, rel=0.05)
+    assert haar_level(np.ones((8, 8, 3), np.float32)) == 0
 
 
 def test_log_colour_compares_by_ratio():
     frame, _ = scene()
-    exposure = fit_exposure(frame)
+    exposure = auto_exposure(frame.colour)
     bright = np.array([[[1.0, 1.1, 100.0]]], np.float32) / np.float32(exposure)
     g = log_colour(bright, exposure)[0, 0]
     assert g[1] - g[0] == pytest.approx(math.log((1.1 + DARK) / (1 + DARK)), abs=1e-5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lambent.errors import LayerError, OptionError
-from lambent.filters.features import features, fit_scales, variance_of
+from lambent.filters.features import MISS_SIGMA, features, fit_scales, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.misses import miss_mask
 from lambent.frame.role import Role
@@ -130,3 +130,14 @@ def test_frames_without_features_and_wrong_roles():
         features(bare, [Role.DEPTH])
     with pytest.raises(OptionError, match="take some of albedo"):
         features(bare, [Role.COLOUR])
+
+
+def test_channels_are_told_their_sigma_by_role():
+    depth = np.array([[1.0, 2.0, 0.0]], np.float32)[:, :, None]
+    frame = Frame.from_arrays(
+        colour=np.zeros((1, 3, 3)), diffuse_albedo=np.ones((1, 3, 3)), depth=depth
+    )
+    found = features(frame)
+    assert [n.partition(".")[0] for n in found.names] == ["depth", *["diffuse_albedo"] * 3, "miss"]
+    expected = [1 / (2 * 0.1), *[1 / (2 * 0.5)] * 3, 1 / (2 * MISS_SIGMA)]
+    np.testing.assert_allclose(found.per_sigma(2.0, albedo=0.5, depth=0.1), expected, rtol=1e-6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lambent.errors import OptionError
+from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import create
 from lambent.filters.nfor import _RIDGE, NFOR, estimated_error
 from lambent.filters.nfor_tuned import NFORTuned
@@ -211,11 +211,13 @@ def test_filter_is_linear_with_weights_that_sum_to_one():
     np.testing.assert_allclose(result[:, :, :3], result[:, :, 3:6] + result[:, :, 6:], atol=2e-4)
 
 
-def test_without_halves_the_tuned_form_runs_and_says_so():
+def test_without_halves_the_frame_is_refused_and_the_tuned_form_named():
     frame, _ = rendered(24, 30)
     alone = frame.without((Role.COLOUR, Stat.HALF_A), (Role.COLOUR, Stat.HALF_B))
-    assert "nfor-tuned" in NFOR().remarks(alone)[0]
-    np.testing.assert_array_equal(NFOR()(alone).colour, NFORTuned()(alone).colour)
+    with pytest.raises(LayerError, match=r"colour\.half_a") as caught:
+        NFOR()(alone)
+    assert caught.value.remedy.startswith("take the model nfor-tuned")
+    assert np.isfinite(NFORTuned()(alone).colour).all()
 
 
 def test_a_grey_beauty_stays_of_one_channel():

@@ -7,7 +7,7 @@ import pytest
 
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import create
-from lambent.filters.features import noise_level
+from lambent.filters.features import smoothed_variance
 from lambent.filters.statmc import StatMC, johnson
 from lambent.filters.statmc_tuned import StatMCTuned
 from lambent.frame.frame import Frame
@@ -141,16 +141,16 @@ def test_firefly_does_not_spread():
     assert spread[20, 26].min() > 1.05  # the paper's rule, for comparison
 
 
-def test_noise_level():
+def test_smoothed_variance():
     """3x3 means of the variance; a floor of a thousandth of the mean; no dependence on units."""
     frame = firefly()
-    level = noise_level(frame)
+    level = smoothed_variance(frame)
     assert level[20, 20] == level[19, 21] == pytest.approx((1600 + 8 * 0.01) / 9, rel=1e-4)
     assert level[5, 5] == pytest.approx(0.01, rel=1e-3)
     clean = Frame.from_arrays(colour=frame.colour * 0 + 2, colour_variance=frame.colour * 0)
-    np.testing.assert_allclose(noise_level(clean), 4e-6, rtol=1e-5)
+    np.testing.assert_allclose(smoothed_variance(clean), 4e-6, rtol=1e-5)
     with pytest.raises(LayerError, match="variance"):
-        noise_level(Frame.from_arrays(colour=frame.colour))
+        smoothed_variance(Frame.from_arrays(colour=frame.colour))
 
 
 def test_johnson():

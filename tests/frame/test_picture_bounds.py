@@ -79,7 +79,7 @@ def test_bombs_are_refused_within_little_memory(name, tmp_path):
     path.write_bytes(BOMBS[name]())
     assert path.stat().st_size < 2_000_000
     code = (
-        "import sys, lambent\nfrom lambent.denoise.memory import peak\n"
+        "import sys, lambent\nfrom lambent.memory import peak\n"
         "import PIL.Image, tifffile\nfrom lambent.errors import FileError\n"
         "before = peak()\n"
         f"try:\n    lambent.read({str(path)!r})\n"
@@ -119,7 +119,7 @@ def test_sixteen_bits_take_little_more_than_the_picture(tmp_path):
     path.write_bytes(png(3000, 2000, 16, 2))
     code = (
         "import lambent, lambent.frame.ldr, lambent.frame.png16, lambent.frame.layer\n"
-        "from lambent.denoise.memory import peak\n"
+        "from lambent.memory import peak\n"
         f"before = peak()\nlambent.read({str(path)!r})\nprint(peak() - before)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lambent.errors import LayerError, OptionError, UnknownNameError
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
-from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.compare import compare, number
 from lambent.metrics.metric import METRICS
 from lambent.metrics.relmse import relmse, relmse_map
@@ -154,7 +154,7 @@ def test_a_comparison_is_frozen(images):
 def test_progress_counts_every_metric_of_every_image(images):
     r = images.pop("reference")
     seen = []
-    compare(r, images, QUICK, progress=lambda what, done, of: seen.append((what, done, of)))
+    compare(r, images, QUICK, progress=lambda done, of, what: seen.append((what, done, of)))
     assert [s[1] for s in seen] == list(range(6))
     assert {s[2] for s in seen} == {6}
     assert seen[0][0] == "relMSE of noisy"

@@ -9,7 +9,8 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from lambent.errors import LayerError, OptionError, UnknownNameError
-from lambent.frame.tonemap import auto_exposure, display
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import display
 from lambent.metrics.flip import PPD, flip_hdr, flip_hdr_map, flip_ldr, flip_ldr_map, hdr_exposures
 from lambent.metrics.metric import METRICS
 from lambent.metrics.pair import Pair

@@ -158,10 +158,10 @@ def test_light_groups_take_ids_of_emitters_and_of_shapes():
 
 
 def test_the_variant_is_chosen_and_errors_name_the_remedy(monkeypatch):
-    from lambent.errors import EngineError
+    from lambent.errors import OptionError
 
     assert mi.variant() == "llvm_ad_rgb"
-    with pytest.raises(EngineError, match="no device 'tpu'"):
+    with pytest.raises(OptionError, match="no device 'tpu'"):
         variant.mitsuba("tpu")
 
 

@@ -124,7 +124,7 @@ def test_a_preview_that_exists_is_not_replaced(noisy, capsys):
 def test_tiles_by_command_give_the_same_picture(tmp_path, capsys):
     path = renders.write(tmp_path / "large.exr", renders.channels(700, 900))
     run(capsys, "denoise", path, "-o", tmp_path / "whole.exr", *FAST)
-    from lambent.denoise import memory
+    from lambent import memory
     from lambent.denoise.pipeline import RESERVE
 
     limit = int((memory.used() + 140_000_000) / (1 - RESERVE))

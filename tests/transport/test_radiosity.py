@@ -421,7 +421,7 @@ def test_wishes_that_cannot_be():
 def test_the_direct_solver_says_what_it_would_take(monkeypatch):
     from lambent.transport.radiosity import solvers
 
-    monkeypatch.setattr(solvers, "_memory", lambda: 1e3)
+    monkeypatch.setattr(solvers, "available", lambda: 1000)
     with pytest.raises(OptionError, match="GiB"):
         solved(boxes.room(), solver="direct")
 

@@ -64,7 +64,7 @@ def compare(
             reference,
             _named(images),
             metrics,
-            progress=lambda text, done, total: progress.report(done, total, text),
+            progress=progress.report,
         )
         if page is not None:
             from lambent.report import write_report

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 EPILOG = (
     "Examples: lambent denoise noisy.exr --preview; "
     "lambent denoise shot.####.exr -o clean/shot.####.exr --frames 1-50; "
-    "lambent denoise noisy.exr --model nfor --passes all --strength 0.9"
+    "lambent denoise noisy.exr --model nfor-tuned --passes all --strength 0.9"
 )
 
 
@@ -225,7 +225,7 @@ def _print_result(result: Result, written: dict[str, Path]) -> None:
 
 
 def _timings(result: Result) -> str:
-    from lambent.denoise.tiles import show_size
+    from lambent.memory import show_size
 
     parts = [
         f"{stage} {show_seconds(result.seconds[stage])}"

@@ -185,8 +185,7 @@ def _processor() -> list[Check]:
 
 
 def _memory() -> list[Check]:
-    from lambent.denoise.memory import available
-    from lambent.denoise.tiles import show_size
+    from lambent.memory import available, show_size
 
     free = available()
     if free is None:
@@ -199,7 +198,7 @@ def _memory() -> list[Check]:
 
 
 def _disk() -> list[Check]:
-    from lambent.denoise.tiles import show_size
+    from lambent.memory import show_size
 
     free = shutil.disk_usage(Path.cwd()).free
     text = f"{show_size(free)} free in {Path.cwd()}"

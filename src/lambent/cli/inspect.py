@@ -81,7 +81,7 @@ def _write_page(
 
 
 def _print(found: Inspection) -> None:
-    from lambent.denoise.tiles import show_size
+    from lambent.memory import show_size
 
     width = columns()
     facts = [f"{found.width}x{found.height}", found.format.upper(), show_size(found.size)]

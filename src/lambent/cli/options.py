@@ -39,7 +39,9 @@ def complete_roles(incomplete: str) -> list[str]:
 
 def complete_devices(incomplete: str) -> list[str]:
     """For the shell: the devices."""
-    return [name for name in ("auto", "cpu", "cuda") if name.startswith(incomplete)]
+    from lambent.device import DEVICES
+
+    return [name for name in DEVICES if name.startswith(incomplete)]
 
 
 ModelOption = Annotated[

@@ -243,8 +243,8 @@ def _film(
     made: Any, output: str, suffix: str, fps: float, exposure: float | None, overwrite: bool
 ) -> list[str]:
     from lambent.frame.atomic import check_target
+    from lambent.frame.exposure import auto_exposure
     from lambent.frame.sequence import put_number
-    from lambent.frame.tonemap import auto_exposure
     from lambent.transport.film import write_film
 
     if suffix in FILMS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,7 @@ from lambent.dataset.pack import about_file, check_pixels
 from lambent.dataset.plan import CLIP, STILL
 from lambent.dataset.recipe import Recipe
 from lambent.errors import FileError
-
-Report = Callable[[float, float, str], None]
-
-
-def _silent(done: float, total: float, text: str = "") -> None:
-    """Progress that nobody watches."""
+from lambent.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -68,7 +62,7 @@ class Verdict:
         }
 
 
-def verify(folder: Path, progress: Report = _silent) -> Verdict:
+def verify(folder: Path, progress: Progress = silent) -> Verdict:
     """Hash and decode every file of a set. Raises `FileError` if the folder is none."""
     recipe = recipe_of(folder)
     lines = read_lines(folder)
@@ -112,7 +106,7 @@ def problem(folder: Path, line: Line, edge: int) -> str | None:
 
 
 def settle(
-    folder: Path, recipe: Recipe, trust: bool = False, progress: Report = _silent
+    folder: Path, recipe: Recipe, trust: bool = False, progress: Progress = silent
 ) -> tuple[dict[ItemKey, Line], list[str]]:
     """The lines of the sound items of a set, after a process that may have been killed.
 

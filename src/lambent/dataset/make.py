@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from lambent.dataset import workers
-from lambent.dataset.check import Report, _silent, missing_items, settle
+from lambent.dataset.check import missing_items, settle
 from lambent.dataset.folder import add_item, begin, line_of, write_lines, writing
 from lambent.dataset.plan import CLIP, STILL, jobs
 from lambent.dataset.produce import Failed, Made
@@ -26,6 +26,7 @@ from lambent.dataset.source import open_source
 from lambent.errors import OptionError
 from lambent.interrupts import stop_if_came, watched
 from lambent.phases import Phases
+from lambent.progress import Progress, silent
 from lambent.startup import cache_folder
 
 
@@ -79,7 +80,7 @@ def make(
     trust: bool = False,
     first: int = 0,
     first_clip: int = 0,
-    progress: Report = _silent,
+    progress: Progress = silent,
 ) -> Outcome:
     """Make the items of a set that are missing. Returns what was done.
 
@@ -145,7 +146,7 @@ def _collect(
     outcome: Outcome,
     start: float,
     seconds: float | None,
-    progress: Report,
+    progress: Progress,
 ) -> None:
     """Write what comes in until all is there or the time is over."""
     total = outcome.left

@@ -16,17 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.dataset.check import Report, _silent
 from lambent.dataset.plan import CLIP, STILL, Job, number, per_scene, scene_seed
 from lambent.dataset.reader import Dataset, open_dataset
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.source import WholeScene, open_source
 from lambent.errors import FileError, stop_by_interrupt
 from lambent.frame.atomic import atomic
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 from lambent.phases import Phases
+from lambent.progress import Progress, silent
 
 Picture = NDArray[np.uint8]
 _GAP, _PAPER, _INK, _LINE = 4, 24, 200, 12
@@ -58,7 +59,7 @@ def preview_recipe(
     spp: int = 32,
     device: str = "auto",
     overwrite: bool = False,
-    progress: Report = _silent,
+    progress: Progress = silent,
 ) -> Path:
     """The contact sheet of a recipe's first scenes, one view of each."""
     source = open_source(recipe, device, Phases())

@@ -42,6 +42,7 @@ from lambent.errors import LambentError, stop_by_interrupt
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
 from lambent.interrupts import stop_if_came
+from lambent.metrics.relmse import EPSILON, expected_relmse
 from lambent.phases import Phases
 
 #: So many crops of a camera are rendered together on this machine. It changes nothing in them;
@@ -312,7 +313,5 @@ def relative_error(frame: Frame) -> float:
     variance = frame.get(Role.COLOUR, Stat.VARIANCE)
     if variance is None:
         return float("inf")
-    light = frame.colour.astype(np.float64).mean(axis=2)
-    floor = 0.01 * float(light.mean()) ** 2 + 1e-20
-    errors = np.sort((variance.astype(np.float64).mean(axis=2) / (light**2 + floor)).ravel())
-    return float(errors[: max(1, int(len(errors) * 0.999))].mean())
+    floor = EPSILON * float(frame.colour.mean(dtype=np.float64)) ** 2 + 1e-20
+    return expected_relmse(frame.colour, variance, floor)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from lambent.dataset.source import Window
 from lambent.frame.frame import Frame
+from lambent.frame.luma import luminance
 from lambent.frame.role import Role, Stat
-from lambent.frame.tonemap import luminance
 
 #: A window darker than this share of the view's bright parts is black.
 BLACK = 0.002

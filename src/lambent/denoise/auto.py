@@ -19,7 +19,8 @@ from typing import ClassVar
 
 from lambent.denoise.dncnn import is_display
 from lambent.denoise.learned import Lambent
-from lambent.filters.denoiser import About, Denoiser, Device, create
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser, create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.noise import noise_of

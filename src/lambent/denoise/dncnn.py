@@ -19,11 +19,12 @@ from lambent.denoise import runtime
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import LayerError
 from lambent.filters.denoiser import About, Denoiser
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.ldr import Facts
 from lambent.frame.role import Role
-from lambent.frame.tonemap import auto_exposure, inverse_srgb, srgb
+from lambent.frame.tonemap import inverse_srgb, srgb
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lambent.denoise import memory
+from lambent import memory
 from lambent.denoise.pipeline import (
     Settings,
     choose_layers,
@@ -28,12 +28,13 @@ from lambent.denoise.pipeline import (
     view_with_beauty,
     without_beauty,
 )
-from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, OutputError
 from lambent.frame.atomic import check_target, refuse_stdout
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.opening import exists, refuse_special, unreadable
 from lambent.frame.role import Role, Stat
+from lambent.progress import Progress
 
 #: The EXR attribute that holds the settings a file was made with.
 STAMP = "lambent:settings"
@@ -376,7 +377,7 @@ def _outlined(frame: Frame, settings: Settings) -> dict[str, Any]:
 def write_preview(path: Path, before: Frame, after: Frame) -> Path:
     """A PNG with the input on the left and the result on the right, at one exposure."""
     from lambent.frame.atomic import atomic
-    from lambent.frame.tonemap import auto_exposure, to_png
+    from lambent.frame.tonemap import to_png
 
     exposure = auto_exposure(after.colour)
     white = np.full((after.height, max(2, after.width // 200), 3), 1 / exposure, np.float32)

@@ -26,6 +26,7 @@ from lambent.denoise import prepare, runtime
 from lambent.denoise.engines import Work, engine
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.denoise.processor import AT_ONCE, GATE
+from lambent.device import Device
 from lambent.errors import OptionError
 from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
@@ -73,7 +74,7 @@ class Lambent(Denoiser):
     views: Literal[1, 2] = 1
     precision: Literal["auto", "f32"] = "auto"
     threads: int | None = None
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Device = "auto"
     _whole: prepare.Whole | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:

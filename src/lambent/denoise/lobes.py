@@ -13,8 +13,8 @@ Planes of a part, `PLANES` in all: value (3) and its deviation (1); normal (3), 
 (1) and their deviations (3); the differences to the right and to the lower neighbour of the first
 ten of these. What the paper leaves open, or what departs from it:
 
-- The frame is brought to one exposure first (`kernels.oidn.exposure`), so that brightness means
-  the same in every scene.
+- The frame is brought to one exposure first (`frame.exposure.block_exposure`), so that brightness
+  means the same in every scene.
 - The network sees log(1 + c̃) of the diffuse light, too: a network that is fed values of 1 and of
   10,000 learns from the latter alone. What its kernels filter is c̃ itself, as in the paper.
 - ε is 0.05, the paper's 0.00316. Emitters and misses have no albedo, and would come out 300 times

@@ -17,18 +17,20 @@ a pixel there is nothing to share by, and the beauty keeps F(c). Layers in no su
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from lambent.denoise.learned import Lambent
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.oidn import OIDN
 from lambent.filters.sums import FrameSums, keep_sums, lighting_among
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.progress import Progress, part_of
 
 #: The share of the time that the network takes; the rest is OIDN's.
 _NETWORK = 0.25
@@ -56,7 +58,7 @@ class Mean(Denoiser):
     threads: int | None = None
     device: Device = "auto"
     _fitted: tuple[Lambent, OIDN, FrameSums] | None = field(default=None, repr=False, compare=False)
-    _progress: Callable[[float], object] | None = field(default=None, repr=False, compare=False)
+    _progress: Progress | None = field(default=None, repr=False, compare=False)
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """The mean of both for a whole stack. Does not keep sums, as `filter_layers` does."""
@@ -68,7 +70,7 @@ class Mean(Denoiser):
         kernels, oidn = self._parts()
         cleaned = kernels.filter_layers(frame, layers)
         if self._progress is not None:
-            self._progress(_NETWORK)
+            self._progress(_NETWORK, 1, "filtering")
         (other,) = oidn.filter_layers(frame, layers[:1])
         mean = (cleaned[0] + other) * np.float32(0.5)
         lighting = lighting_among(layers)
@@ -97,8 +99,8 @@ class Mean(Denoiser):
         parts = (kernels.fitted(frame), oidn.fitted(frame), FrameSums(frame))
         return dataclasses.replace(self, _fitted=parts)
 
-    def watched(self, progress: Callable[[float], object] | None) -> Mean:
-        """A copy that reports its progress; a callback returning False stops it."""
+    def watched(self, progress: Progress | None) -> Mean:
+        """A copy that reports its progress."""
         return dataclasses.replace(self, _progress=progress)
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
@@ -121,9 +123,8 @@ class Mean(Denoiser):
             oidn = OIDN(threads=self.threads, device=device)
         return kernels, oidn.watched(self._rest())
 
-    def _rest(self) -> Callable[[float], object] | None:
+    def _rest(self) -> Progress | None:
         """Progress of OIDN as progress of the whole."""
-        progress = self._progress
-        if progress is None:
+        if self._progress is None:
             return None
-        return lambda done: progress(_NETWORK + (1 - _NETWORK) * done)
+        return part_of(self._progress, _NETWORK, 1 - _NETWORK, 1)

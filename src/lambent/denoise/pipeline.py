@@ -33,11 +33,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from lambent.denoise import memory
+from lambent import memory
 from lambent.denoise.coverage import Mask, exact, noisy_coverage
 from lambent.denoise.light import keep_light
 from lambent.denoise.model_file import as_denoiser
-from lambent.denoise.tiles import Plan, Progress, filter_tiles, parse_size, plan_tiles
+from lambent.denoise.tiles import Plan, filter_tiles, plan_tiles
+from lambent.device import check_device
 from lambent.errors import LayerError, OptionError
 from lambent.filters.denoiser import (
     DEFAULT_MODEL,
@@ -51,6 +52,7 @@ from lambent.frame.frame import Frame
 from lambent.frame.guides import split
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat, parse_role
+from lambent.progress import Progress
 
 if TYPE_CHECKING:
     from lambent.frame.repair import Repairs
@@ -126,8 +128,7 @@ class Settings:
                 f"strength {strength:g} is outside 0 to 1",
                 remedy="0 leaves the frame as it is, 1 takes the denoised one",
             )
-        if device not in ("auto", "cpu", "cuda"):
-            raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+        check_device(device)
         if threads is not None and threads < 1:
             raise OptionError(
                 f"{threads} threads cannot work", remedy="give 1 or more, or leave it out for all"
@@ -150,7 +151,7 @@ class Settings:
             alpha=alpha,
             roles=chosen,
             spp=spp,
-            max_memory=None if max_memory is None else parse_size(max_memory),
+            max_memory=None if max_memory is None else memory.parse_size(max_memory),
             threads=threads,
             device=device,
             params=named,

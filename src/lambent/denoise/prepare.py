@@ -34,12 +34,12 @@ from lambent.denoise.inputs import (
 )
 from lambent.denoise.samples import seeming_samples
 from lambent.filters.features import variance_of
+from lambent.frame.exposure import block_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.misses import FAR
 from lambent.frame.role import INFO, Role
 from lambent.kernels.arrays import aligned, backend
-from lambent.kernels.oidn import exposure
 from lambent.kernels.pyramid import (
     Level,
     Logits,
@@ -66,7 +66,7 @@ class Whole:
     @classmethod
     def of(cls, frame: Frame) -> Whole:
         """Measured on a frame."""
-        factor = exposure(frame.colour)
+        factor = block_exposure(frame.colour)
         guess = seeming_samples(frame, factor)
         return cls(factor, typical_depth(frame), float(frame.spp) if frame.spp else None, guess)
 

@@ -39,11 +39,11 @@ from lambent.denoise.files import (
     save,
 )
 from lambent.denoise.pipeline import Settings, view_with_beauty
-from lambent.denoise.tiles import Progress
 from lambent.errors import FileError, LambentError, OutputError
 from lambent.frame.atomic import refuse_stdout
 from lambent.frame.files import ENDINGS
 from lambent.frame.opening import exists, refuse_special, unreadable
+from lambent.progress import Progress
 from lambent.settings import parse_json
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ networks that halve the resolution several times give the same answer only for s
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,17 +16,14 @@ from lambent.errors import OptionError
 from lambent.filters.denoiser import Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.memory import show_size
+from lambent.progress import Progress, part_of
 
 #: Tiles begin on multiples of this; 2^5 serves networks and pyramids of up to five halvings.
 ALIGNMENT = 32
 
 #: Cores smaller than this would spend nearly all work on margins.
 SMALLEST_CORE = 64
-
-_UNITS = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30, "t": 2**40}
-
-#: Called as ``progress(done, total, text)`` while work goes on.
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -73,41 +69,6 @@ class Plan:
             f"{outer.right - outer.left}x{outer.bottom - outer.top} with a margin of "
             f"{self.margin}, {show_size(self.working_bytes)} of working memory"
         )
-
-
-#: A bare number below this is a forgotten unit.
-_LEAST = 1 << 20
-
-
-def parse_size(text: str | int) -> int:
-    """``"4G"``, ``"512 MB"``, ``"1.5GiB"`` or a number of bytes, to bytes (binary units).
-
-    Raises `OptionError` for anything else and for sizes that are not positive.
-    """
-    if isinstance(text, int):
-        size = text
-    else:
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?)(?:i?b)?\s*", text.lower())
-        size = int(float(match[1]) * _UNITS[match[2]]) if match else 0
-    if isinstance(text, str) and text.strip().isdigit() and 0 < size < _LEAST:
-        raise OptionError(
-            f"'{text}' without a unit is {size} bytes of memory, in which nothing can be done",
-            remedy=f"write it with a unit: {text.strip()}G, or {text.strip()}M",
-        )
-    if size <= 0:
-        raise OptionError(
-            f"'{text}' is no size of memory", remedy="write it like 4G, 512M or 1.5GiB"
-        )
-    return size
-
-
-def show_size(size: float) -> str:
-    """Bytes as people write them: ``"3.7 GiB"``."""
-    for unit in ("B", "KiB", "MiB"):
-        if size < 1000:
-            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.3g} {unit}"
-        size /= 1024
-    return f"{size:.2f} GiB" if size < 10 else f"{size:.1f} GiB"
 
 
 def plan_tiles(
@@ -166,7 +127,7 @@ def filter_tiles(
     """
     total = sum(tile.outer.pixels for tile in plan.tiles)
     if len(plan.tiles) == 1:
-        return _watched(denoiser, 0, total, total, progress).filter_layers(frame, layers)
+        return denoiser.watched(progress).filter_layers(frame, layers)
     results = [np.empty(layer.data.shape, np.float32) for layer in layers]
     done = 0
     for tile in plan.tiles:
@@ -176,7 +137,9 @@ def filter_tiles(
             layer.with_data(layer.data[outer.top : outer.bottom, outer.left : outer.right])
             for layer in layers
         ]
-        worker = _watched(denoiser, done, outer.pixels, total, progress)
+        worker = denoiser
+        if progress is not None:
+            worker = denoiser.watched(part_of(progress, done, outer.pixels, total))
         inner = (
             slice(core.top - outer.top, core.bottom - outer.top),
             slice(core.left - outer.left, core.right - outer.left),
@@ -190,15 +153,6 @@ def filter_tiles(
 
 
 # ------------------------------------------------------------------- private
-
-
-def _watched(
-    denoiser: Denoiser, done: int, pixels: int, total: int, progress: Progress | None
-) -> Denoiser:
-    """A denoiser that tells how far it is with its share of the whole."""
-    if progress is None:
-        return denoiser
-    return denoiser.watched(lambda share: progress(done + share * pixels, total, "filtering"))
 
 
 def _core_sizes(extent: int) -> list[int]:

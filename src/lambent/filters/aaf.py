@@ -39,13 +39,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import LayerError, OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
+from lambent.frame.luma import luminance
 from lambent.frame.misses import miss_mask
 from lambent.frame.role import Role
-from lambent.frame.tonemap import luminance
 
 #: The layers of distances, by name.
 LAYERS = ("light_distance", "occluder_min", "occluder_max")

@@ -29,9 +29,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Scales, features, fit_scales
-from lambent.filters.log_colour import fit_exposure
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role
@@ -72,7 +73,9 @@ class ATrous(Denoiser):
 
     def fitted(self, frame: Frame) -> ATrous:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """À-trous mean of ``targets`` ``(H, W, C)``, weights from colour and features."""
@@ -120,21 +123,16 @@ class ATrous(Denoiser):
 
     def _guides(self, frame: Frame) -> tuple[FloatImage, FloatImage | None, FloatImage | None]:
         """What is filtered along, the features over their σ, and the variance of these."""
-        exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+        exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
         guide = frame.colour * np.float32(exposure)
         place = Role.POSITION if frame.has(Role.POSITION) else Role.DEPTH
         roles = [role for role in (Role.NORMAL, place) if frame.has(role)]
         if not roles:
             return guide, None, None
         found = features(frame, roles, self._scales)
-        sigmas = {
-            "normal": self.sigma_normal,
-            "position": self.sigma_position,
-            "depth": self.sigma_depth,
-            "miss": 0.25,
-        }
-        stops = found.stack / np.array([sigmas[n.partition(".")[0]] for n in found.names])
-        stops = stops.astype(np.float32)
+        stops = found.stack * found.per_sigma(
+            normal=self.sigma_normal, position=self.sigma_position, depth=self.sigma_depth
+        )
         if Role.NORMAL not in roles:  # its place stays: the factors go by position
             nothing = np.zeros((*stops.shape[:2], 3), np.float32)
             stops = np.concatenate([nothing, stops], axis=2)

@@ -20,7 +20,8 @@ import numpy as np
 from lambent.filters.atrous import ATrous
 from lambent.filters.denoiser import About
 from lambent.filters.features import features
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 
@@ -49,24 +50,17 @@ class ATrousTuned(ATrous):
         return [(4.0**level / self.sigma_colour**2, 1.0) for level in range(self.levels)]
 
     def _guides(self, frame: Frame) -> tuple[FloatImage, FloatImage | None, FloatImage | None]:
-        exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+        exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
         guide = log_colour(frame.colour, exposure)
         found = features(frame, scales=self._scales)
         if not len(found):
             return guide, None, None
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
-        sigma = np.array([sigmas[n.partition(".")[0]] for n in found.names], np.float32)
-        stops = found.stack / sigma
+        scale = found.per_sigma(
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
+        stops = found.stack * scale
         if not found.valid.all():
             stops[~found.valid] = np.nan  # takes no part
-        noise = None if found.variance is None else found.variance / sigma**2
+        noise = None if found.variance is None else found.variance * scale**2
         return guide, stops, noise

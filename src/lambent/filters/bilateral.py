@@ -18,8 +18,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 
@@ -48,13 +50,13 @@ class Bilateral(Denoiser):
 
     def fitted(self, frame: Frame) -> Bilateral:
         """With the exposure of the whole frame."""
-        return dataclasses.replace(self, _exposure=fit_exposure(frame))
+        return dataclasses.replace(self, _exposure=auto_exposure(frame.colour))
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """Bilateral mean of ``targets`` ``(H, W, C)``, weights from the frame's colour."""
         from lambent.kernels.window import weighted_window
 
-        exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+        exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
         guide = log_colour(frame.colour, exposure)
         guide *= np.float32(1 / (math.sqrt(2) * self.sigma_range))
         return weighted_window(

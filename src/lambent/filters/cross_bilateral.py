@@ -24,10 +24,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.filters.bilateral import gaussian_weight, log_gaussian
-from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales
-from lambent.filters.log_colour import fit_exposure, log_colour
+from lambent.filters.denoiser import About, Denoiser
+from lambent.filters.features import MARGIN, Scales, features, fit_scales
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 
@@ -64,18 +66,24 @@ class CrossBilateral(Denoiser):
 
     def fitted(self, frame: Frame) -> CrossBilateral:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """Cross-bilateral mean of ``targets`` ``(H, W, C)``, weights from the features."""
         from lambent.kernels.window import weighted_window
 
         found = features(frame, scales=self._scales)
-        scale = self._factors(found)
+        scale = found.per_sigma(
+            math.sqrt(2),
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
         guide = found.stack * scale
         weight = gaussian_weight
         if self.sigma_colour is not None:
-            exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+            exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
             colour = log_colour(frame.colour, exposure)
             colour *= np.float32(1 / (math.sqrt(2) * self.sigma_colour))
             guide = np.concatenate([guide, colour], axis=2)
@@ -95,21 +103,6 @@ class CrossBilateral(Denoiser):
             spatial=log_gaussian(self.radius, self.sigma_spatial),
             device=self.device,
         )
-
-    def _factors(self, found: Features) -> FloatImage:
-        """1/(√2·σ) for each feature channel."""
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
-        names = [name.partition(".")[0] for name in found.names]
-        return np.array([1 / (math.sqrt(2) * sigmas[n]) for n in names], np.float32)
 
 
 def discounted_weight(p: list[Any], q: list[Any], k: list[Any], s: Any) -> Any:

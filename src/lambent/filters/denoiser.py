@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -29,9 +29,8 @@ from lambent.errors import LayerError, OptionError, UnknownNameError
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat
+from lambent.progress import Progress
 from lambent.registry import Registry
-
-Device = Literal["auto", "cpu", "cuda"]
 
 
 @dataclass(frozen=True)
@@ -108,11 +107,10 @@ class Denoiser:
         """
         return self
 
-    def watched(self, progress: Callable[[float], object] | None) -> Denoiser:
-        """A copy that tells ``progress`` how much of a filtering is done, in [0, 1].
+    def watched(self, progress: Progress | None) -> Denoiser:
+        """A copy that tells ``progress`` how much of a filtering is done.
 
-        A callback that returns False stops the work with an `EngineError`. Denoisers that cannot
-        tell return themselves.
+        Denoisers that cannot tell return themselves.
         """
         return self
 
@@ -166,11 +164,14 @@ class Denoiser:
             keys = [parse_role(n) for n in need.split("|")]
             if not any(frame.has(*key) for key in keys):
                 error = frame.missing(*keys[0])
+                remedy, ours = error.remedy, f"{self.about.name}-tuned"
+                if ours in DENOISERS and need not in DENOISERS[ours].about.needs:
+                    remedy = f"take the model {ours}, which does without; or {remedy}"
                 raise LayerError(
                     f"the model '{self.about.name}' needs {need.replace('|', ' or ')}: "
                     f"{error.message}",
                     file=frame.path,
-                    remedy=error.remedy,
+                    remedy=remedy,
                 )
 
 

@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from lambent.errors import LayerError, OptionError, OutputError
 from lambent.filters.denoiser import DENOISERS, Denoiser, create
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.frame.tonemap import auto_exposure, png_of, to_uint8
+from lambent.frame.tonemap import png_of, to_uint8
 
 #: Delta images that are filtered together.
 _CHUNK = 512

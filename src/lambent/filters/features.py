@@ -39,7 +39,9 @@ from lambent.frame.role import INFO, Role, Stat
 
 #: Pixels around a pixel that its features may depend on (the variance from half buffers).
 MARGIN = 2
-#: Noise below this share of the mean does not count in `noise_level`.
+#: σ of the channel that tells misses: they are nobody's neighbours but each other's.
+MISS_SIGMA = 0.25
+#: Noise below this share of the mean does not count in `smoothed_variance`.
 _FLOOR = 1e-3
 
 
@@ -75,6 +77,17 @@ class Features:
     def index(self, role: Role) -> list[int]:
         """The channels that come from a role."""
         return [i for i, n in enumerate(self.names) if n.partition(".")[0] == role.value]
+
+    def per_sigma(self, times: float = 1.0, **sigma: float) -> FloatImage:
+        """1/(times·σ) of each channel ``(F,)``, with which distances count in σ.
+
+        ``sigma``: one a role, in the units of the stack, as in ``per_sigma(normal=0.1)``. That of
+        the albedo is the diffuse and the specular one's, too; that of ``miss`` is `MISS_SIGMA`.
+        """
+        table = {"miss": MISS_SIGMA, **sigma}
+        roles = [n.partition(".")[0] for n in self.names]
+        roles = ["albedo" if role.endswith("_albedo") else role for role in roles]
+        return np.array([1 / (times * table[role]) for role in roles], np.float32)
 
 
 def default_roles(frame: Frame) -> tuple[Role, ...]:
@@ -186,7 +199,7 @@ def variance_of(frame: Frame, role: Role) -> FloatImage | None:
     return _mean_5x5(raw.astype(np.float32))
 
 
-def noise_level(frame: Frame) -> FloatImage:
+def smoothed_variance(frame: Frame) -> FloatImage:
     """The variance of the colour ``(H, W)``, over 3x3 pixels and channels; positive.
 
     A variance from n samples of heavy-tailed light is unreliable, and low where the mean is low by

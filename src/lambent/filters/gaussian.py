@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 

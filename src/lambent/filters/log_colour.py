@@ -11,17 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
-from lambent.frame.tonemap import auto_exposure
 
 #: Exposed radiance that is dark: about three stops below mid-grey.
 DARK = 0.02
-
-
-def fit_exposure(frame: Frame) -> float:
-    """The exposure of the whole frame, to be handed to each of its tiles."""
-    return auto_exposure(frame.colour)
 
 
 def log_colour(colour: NDArray[np.float32], exposure: float) -> FloatImage:
@@ -31,16 +24,3 @@ def log_colour(colour: NDArray[np.float32], exposure: float) -> FloatImage:
         light *= np.float32(exposure)
         light += np.float32(DARK)
         return np.asarray(np.log(light, out=light))
-
-
-def noise_level(image: NDArray[np.float32]) -> float:
-    """σ of white noise in ``(H, W, C)``, robustly.
-
-    Median of the absolute diagonal Haar details (a - b - c + d)/2 over 0.6745 (Donoho and
-    Johnstone 1994): flat regions and straight edges have none, so what is left is noise. Blocks
-    with equal pixels (black background) do not count. 0 for an image without any details.
-    """
-    top, bottom = image[:-1:2, :, :], image[1::2, :, :]
-    detail = (top - bottom)[:, :-1:2] - (top - bottom)[:, 1::2]
-    detail = np.abs(detail[np.isfinite(detail) & (detail != 0)])
-    return float(np.median(detail)) / 2 / 0.6745 if detail.size else 0.0

@@ -20,8 +20,8 @@ What differs, and why:
 
 - *Half buffers of features* are used where the frame has them; else the features are filtered once,
   with their variance, and both halves get the same. Without either they are taken as they are.
-- *Without half buffers of the colour* there is nothing to cross: `lambent.filters.nfor_tuned` is
-  what runs then, and says so.
+- *Without half buffers of the colour* there is nothing to cross, and the frame is refused:
+  `lambent.filters.nfor_tuned` does without.
 - *Lighting layers* have no halves; theirs are made by dividing each layer between the halves as the
   beauty's pixel is divided. So all goes through the operators of the beauty, and layers that sum to
   it still sum. Other layers (alpha) are the same in both halves, and `NFOR.filter`, which knows no
@@ -45,10 +45,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
-from lambent.filters.nfor_tuned import NFORTuned, finite, noisy_roles
+from lambent.filters.nfor_tuned import finite, noisy_roles
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import INFO, Role, Stat
@@ -93,10 +94,8 @@ class NFOR(Denoiser):
         title="Nonlinearly weighted first-order regression",
         paper="Bitterli, Rousselle, Moon, Iglesias-Guitián, Adler, Mitchell, Jarosz and Novák, "
         "EGSR 2016",
-        needs=("colour",),
+        needs=("colour", "colour.half_a", "colour.half_b"),
         uses=(
-            "colour.half_a",
-            "colour.half_b",
             "colour.variance",
             "albedo",
             "normal",
@@ -123,8 +122,7 @@ class NFOR(Denoiser):
         choice = 2 * (_CHOICE_RADIUS + _CHOICE_PATCH)
         made_from = _FEATURE_RADIUS + _FEATURE_PATCH + 1 + MARGIN
         again = _FEATURE_AGAIN + _FEATURE_PATCH
-        found = (1 + self.second) * regression + choice + made_from + again
-        return max(found, self._without_halves().margin())
+        return (1 + self.second) * regression + choice + made_from + again
 
     def fitted(self, frame: Frame) -> NFOR:
         """Depth range, and which features are noisy at all."""
@@ -144,29 +142,18 @@ class NFOR(Denoiser):
         window = (2 * self.radius + 1) ** 2
         return int(4 * (centres * (window + 330) + 200 + 24 * channels))
 
-    def remarks(self, frame: Frame) -> tuple[str, ...]:
-        """What cannot be done as in the paper with this frame."""
-        if _crossed(frame):
-            return ()
-        instead = self._without_halves().remarks(frame)
-        return ("nfor: no half buffers to cross; filtered as nfor-tuned does.", *instead)
-
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """Filter ``targets`` ``(H, W, C)`` by the mean of both halves' operators.
 
         Linear in them. Every three channels count as one colour. The beauty itself is better off
         in `filter_layers`, where either half gets the weights that it has no part in.
         """
-        if not _crossed(frame):
-            return self._without_halves().filter(frame, targets)
         whole = targets.shape[2] // 3 * 3
         channels = [c % 3 if c < whole else -1 for c in range(targets.shape[2])]
         return self._regressed(frame, targets, targets, channels)[:, :, 3:]
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
         """The beauty from its halves; lighting layers divided between the halves as it is."""
-        if not _crossed(frame):
-            return self._without_halves().filter_layers(frame, layers)
         shares = _shares(frame)
         halves: list[list[FloatImage]] = [[], []]
         channels: list[int] = []
@@ -318,9 +305,6 @@ class NFOR(Denoiser):
                 frame = frame.with_layer(mean.with_data(frame[role, stat]))
         return features(frame, scales=self._scales)
 
-    def _without_halves(self) -> NFORTuned:
-        return NFORTuned(device=self.device, _scales=self._scales, _noisy=self._noisy)
-
 
 # ------------------------------------------------------------------ estimates
 
@@ -340,10 +324,6 @@ def estimated_error(
     apart_a = (half_b - fit_a) ** 2 - 2 * variance
     apart_b = (half_a - fit_b) ** 2 - 2 * variance
     return np.asarray((apart_a + apart_b) / 2 - (fit_b - fit_a) ** 2 / 4, np.float32)
-
-
-def _crossed(frame: Frame) -> bool:
-    return frame.has(Role.COLOUR, Stat.HALF_A) and frame.has(Role.COLOUR, Stat.HALF_B)
 
 
 def _halves(frame: Frame) -> tuple[FloatImage, FloatImage]:

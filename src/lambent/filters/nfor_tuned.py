@@ -52,8 +52,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
@@ -67,7 +68,7 @@ _SMOOTH = 3
 _VARIANCE_SMOOTH = 1
 #: Half side of the box over which the choice is averaged.
 _CHOICE_SMOOTH = 2
-#: Radiance squared below which errors count absolutely (that of relMSE).
+#: Radiance squared below which errors count absolutely.
 _DARK = 0.01
 #: The candidates: w⁴ has half the bandwidth of w.
 _POWERS = (4, 1)

@@ -23,7 +23,7 @@ relative already (`lambent.filters.features`).
 
 Where we depart:
 - Without variance in the frame, u is log radiance (`lambent.filters.log_colour`) with one noise
-  level for the whole frame, from the median of diagonal Haar details (`noise_level`).
+  level for the whole frame, from the median of diagonal Haar details (`haar_level`).
 - With half buffers, a weight found in one half is not applied to the other alone, since lighting
   layers have no halves: the weights found in A and those found in B are averaged, and applied to
   the whole. So all targets still get one set of weights. Each half has twice the variance.
@@ -37,11 +37,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.device import Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.features import MARGIN, Features, Scales, features, fit_scales, variance_of
-from lambent.filters.log_colour import fit_exposure, log_colour, noise_level
+from lambent.filters.log_colour import log_colour
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
+from lambent.frame.noise_level import haar_level
 from lambent.frame.role import Role, Stat
 
 _NEEDS_TWO = ("colour.variance", "colour.half_a", "colour.half_b")
@@ -82,8 +85,8 @@ class NonLocalMeans(Denoiser):
 
     def fitted(self, frame: Frame) -> Denoiser:
         """With exposure and noise level of the whole frame."""
-        exposure = fit_exposure(frame)
-        noise = noise_level(log_colour(frame.colour, exposure))
+        exposure = auto_exposure(frame.colour)
+        noise = haar_level(log_colour(frame.colour, exposure))
         return dataclasses.replace(self, _exposure=exposure, _noise=noise)
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
@@ -103,9 +106,9 @@ class NonLocalMeans(Denoiser):
         joint = None if guide is None else (guide, distance)
         variance = variance_of(frame, Role.COLOUR)
         if variance is None:
-            exposure = fit_exposure(frame) if self._exposure is None else self._exposure
+            exposure = auto_exposure(frame.colour) if self._exposure is None else self._exposure
             colour = log_colour(frame.colour, exposure)
-            noise = noise_level(colour) if self._noise is None else self._noise
+            noise = haar_level(colour) if self._noise is None else self._noise
             # the formula above with v = noise² everywhere; 1e-4 keeps a clean image as it is
             both = 2 * max(noise, 1e-4) ** 2
             h2 = self.k**2 * both

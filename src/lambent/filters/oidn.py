@@ -23,7 +23,7 @@ What Lambent adds around it:
   samples would stay: OIDN takes an image of 0 and 1 for a clean one (error at 1, 4, 16, 64
   samples of a smooth cover: 0.53, 0.15, 0.026, 0.010; as radiance: 0.042, 0.021, 0.012, 0.009).
 - *Tiles that agree.* OIDN exposes each image by itself. `OIDN.fitted` takes the exposure from the
-  whole frame (`lambent.kernels.oidn.exposure`). With tiles that begin at multiples of 16 and the
+  whole frame (`lambent.frame.exposure`). With tiles that begin at multiples of 16 and the
   margin that OIDN's own tiling uses (96 pixels; 112 for quality high with clean guides), tiled
   and untiled results are bit for bit equal. Measured on noise over texture, as the largest
   difference from the untiled pixel relative to it: margin 16: 0.15, 32: 0.1, 64: 0.02,
@@ -45,14 +45,17 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
+from lambent.filters.denoiser import About, Denoiser
 from lambent.filters.sums import FrameSums, has_negative_light, keep_sums, lighting_among
+from lambent.frame.exposure import block_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space
 from lambent.kernels import oidn
-from lambent.kernels.oidn import Options, Progress
+from lambent.kernels.oidn import Options
+from lambent.progress import Progress, part_of
 
 #: Working memory of OIDN per pixel in bytes, measured at 1280x720 with both guides.
 _BYTES = {"fast": 330, "balanced": 590, "high": 590}
@@ -171,7 +174,7 @@ class OIDN(Denoiser):
         guides = self._guides(frame)
         cleaned = []
         for index, layer in enumerate(layers):
-            watch = _Part(self._progress, index, len(layers)) if self._progress else None
+            watch = part_of(self._progress, index, 1, len(layers)) if self._progress else None
             cleaned.append(self._clean(frame, layer, guides, watch))
         lighting = lighting_among(layers)
         if len(lighting) < 2:
@@ -192,7 +195,7 @@ class OIDN(Denoiser):
         return dataclasses.replace(self, _whole=_Whole(frame))
 
     def watched(self, progress: Progress | None) -> OIDN:
-        """A copy that reports its progress in [0, 1]; a callback returning False stops it."""
+        """A copy that reports its progress; what the callback raises ends it."""
         return dataclasses.replace(self, _progress=progress)
 
     def bytes_per_pixel(self, channels: int) -> int:
@@ -271,7 +274,7 @@ class OIDN(Denoiser):
             return np.clip(self._clean_part(image, look, guides, options, watch), 0, 1)
         if look.negative is None or not hdr:
             return self._clean_part(image, look, guides, options, watch)
-        watches = [_Part(watch, half, 2) if watch else None for half in (0, 1)]
+        watches = [part_of(watch, half, 1, 2) if watch else None for half in (0, 1)]
         above, below = np.maximum(image, 0), np.maximum(-image, 0)
         above = self._clean_part(above, look, guides, options, watches[0])
         below = self._clean_part(below, look.negative, guides, options, watches[1])
@@ -356,14 +359,4 @@ def _look(image: FloatImage, exposed: bool = False) -> _Look:
         image = np.maximum(image, 0)
     lit = bool(image.any())
     grey = lit and image.shape[2] == 3 and is_grey(image)
-    return _Look(lit, grey, oidn.exposure(image) if exposed and lit else None, negative)
-
-
-class _Part:
-    """Progress of one of several filterings, as progress of all of them."""
-
-    def __init__(self, progress: Progress, index: int, count: int) -> None:
-        self._progress, self._index, self._count = progress, index, count
-
-    def __call__(self, done: float) -> object:
-        return self._progress((self._index + done) / self._count)
+    return _Look(lit, grey, block_exposure(image) if exposed and lit else None, negative)

@@ -40,10 +40,18 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.device import Device
 from lambent.errors import OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.features import MARGIN, Scales, features, fit_scales, noise_level, variance_of
-from lambent.filters.log_colour import fit_exposure
+from lambent.filters.denoiser import About, Denoiser
+from lambent.filters.features import (
+    MARGIN,
+    Scales,
+    features,
+    fit_scales,
+    smoothed_variance,
+    variance_of,
+)
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role
@@ -124,7 +132,9 @@ class SUREFilter(Denoiser):
 
     def fitted(self, frame: Frame) -> SUREFilter:
         """With the feature scales and the exposure of the whole frame."""
-        return dataclasses.replace(self, _scales=fit_scales(frame), _exposure=fit_exposure(frame))
+        return dataclasses.replace(
+            self, _scales=fit_scales(frame), _exposure=auto_exposure(frame.colour)
+        )
 
     def filter(self, frame: Frame, targets: FloatImage) -> FloatImage:
         """The targets ``(H, W, C)`` at the scale that suits the beauty best, pixel by pixel."""
@@ -182,19 +192,12 @@ class SUREFilter(Denoiser):
         the noise level is one more plane at the end: an odd number.
         """
         found = features(frame, scales=self._scales)
-        sigmas = {
-            "albedo": self.sigma_albedo,
-            "diffuse_albedo": self.sigma_albedo,
-            "specular_albedo": self.sigma_albedo,
-            "normal": self.sigma_normal,
-            "depth": self.sigma_depth,
-            "position": self.sigma_position,
-            "roughness": self.sigma_roughness,
-            "miss": 0.25,
-        }
         # Over the floor, so that the least σ_i² + σ_j² is 1.
-        scale = [1 / math.sqrt(2 * self.floor) / sigmas[n.partition(".")[0]] for n in found.names]
-        stack = found.stack * np.array(scale, np.float32)
+        stack = found.stack * found.per_sigma(
+            math.sqrt(2 * self.floor),
+            albedo=self.sigma_albedo, normal=self.sigma_normal, depth=self.sigma_depth,
+            position=self.sigma_position, roughness=self.sigma_roughness,
+        )  # fmt: skip
         spread = np.zeros_like(stack) if found.variance is None else found.variance
         spread = spread * np.float32((frame.spp or 1) / self.floor)
         if self.sigma_colour is not None:
@@ -207,7 +210,7 @@ class SUREFilter(Denoiser):
             result = np.zeros((*stack.shape[:2], 2), np.float32)
             result[:, :, 1] = 1
         if self.by_variance:
-            result = np.concatenate([result, noise_level(frame)[:, :, None]], axis=2)
+            result = np.concatenate([result, smoothed_variance(frame)[:, :, None]], axis=2)
         result[~found.valid] = np.nan
         return result
 
@@ -232,7 +235,7 @@ class SUREFilter(Denoiser):
         return means[:, :, :3], squares, total, means[:, :, first : first + targets.shape[2]]
 
     def _exposed(self, frame: Frame) -> float:
-        return fit_exposure(frame) if self._exposure is None else self._exposure
+        return auto_exposure(frame.colour) if self._exposure is None else self._exposure
 
 
 def reach(sigma: float) -> int:

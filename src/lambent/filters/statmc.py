@@ -32,9 +32,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from lambent.device import Device
 from lambent.errors import LayerError, OptionError
-from lambent.filters.denoiser import About, Denoiser, Device
-from lambent.filters.features import MARGIN, features, noise_level, variance_of
+from lambent.filters.denoiser import About, Denoiser
+from lambent.filters.features import MARGIN, features, smoothed_variance, variance_of
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
@@ -103,11 +104,11 @@ class StatMC(Denoiser):
         """Filter ``targets`` ``(H, W, C)``: linear in them, the weights come from the frame."""
         mean, variance, freedom = self.tested(frame)
         bound = np.float32(t_quantile(self.alpha, freedom) ** 2) * variance
-        widths = {Role.ALBEDO: self.albedo_sigma, Role.NORMAL: self.normal_sigma}
-        seen = features(frame, [role for role in widths if frame.has(role)])
-        scale = [sigma for role, sigma in widths.items() for _ in seen.index(role)]
-        stack = seen.stack / np.asarray(scale, np.float32) / np.float32(np.sqrt(2))
-        noise = noise_level(frame) if self.by_variance else None
+        seen = features(frame, [r for r in (Role.ALBEDO, Role.NORMAL) if frame.has(r)])
+        stack = seen.stack * seen.per_sigma(
+            np.sqrt(2), albedo=self.albedo_sigma, normal=self.normal_sigma
+        )
+        noise = smoothed_variance(frame) if self.by_variance else None
         return welch_mean(targets, mean, bound, stack, self.radius, self.sigma, self.device, noise)
 
     def tested(self, frame: Frame) -> tuple[FloatImage, FloatImage, float]:

@@ -8,9 +8,9 @@ large pass). ``LAMBENT_MAX_DECODED``, a size such as ``500M`` or ``16G``, replac
 from __future__ import annotations
 
 import os
-import re
 
 from lambent.errors import FileError, OptionError
+from lambent.memory import bytes_of, show_size
 
 #: The environment variable with the limit of one's own.
 VARIABLE = "LAMBENT_MAX_DECODED"
@@ -18,9 +18,6 @@ VARIABLE = "LAMBENT_MAX_DECODED"
 DEFAULT = 2 * 1024**3
 #: What a file may take decoded for each of its own bytes.
 RATIO = 100
-
-_SIZE = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?\s*", re.IGNORECASE)
-_UNITS = {"": 1, "K": 1024, "M": 1024**2, "G": 1024**3, "T": 1024**4}
 
 
 def check_declared(
@@ -57,7 +54,8 @@ def check_bytes(
     most = allowed(stored) if limit is None else limit
     if declared > most:
         raise FileError(
-            f"declares {what}, {_show(declared)} once decoded, where {_show(most)} are allowed",
+            f"declares {what}, {show_size(declared)} once decoded, where {show_size(most)} are "
+            "allowed",
             file=file,
             remedy="if this is meant, allow more with the environment variable "
             f"{VARIABLE}={_enough(declared)}",
@@ -72,22 +70,15 @@ def allowed(stored: int = 0) -> int:
     text = os.environ.get(VARIABLE, "").strip()
     if not text:
         return max(DEFAULT, RATIO * stored)
-    match = _SIZE.fullmatch(text)
-    if match is None:
+    size = bytes_of(text)
+    if size is None:
         raise OptionError(
             f"{VARIABLE}='{text}' is no size", remedy=f"write a number of bytes, or {VARIABLE}=4G"
         )
-    return int(float(match[1]) * _UNITS[match[2].upper()])
+    return size
 
 
 # ------------------------------------------------------------------- private
-
-
-def _show(count: int) -> str:
-    for name, unit in (("TB", 1000**4), ("GB", 1000**3), ("MB", 1000**2), ("kB", 1000)):
-        if count >= unit:
-            return f"{count / unit:.1f} {name}"
-    return f"{count} B"
 
 
 def _enough(count: int) -> str:

@@ -1,4 +1,4 @@
-"""Luminance/chroma images: Y with RY and BY at half resolution, to RGB and back.
+"""Luminance; and luminance/chroma images: Y with RY and BY at half resolution, to RGB and back.
 
 From "Technical Introduction to OpenEXR" (Kainz, Bogart, Stanczyk, 2009), section Luminance/Chroma
 Images:
@@ -20,6 +20,16 @@ from numpy.typing import NDArray
 
 #: Chromaticities (x, y of red, green, blue, white) of Rec. 709.
 REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+
+#: Luminance of linear Rec. 709.
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+
+
+def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
+    """``(H, W, 3)`` linear Rec. 709 to luminance ``(H, W)``."""
+    if image.shape[-1] == 1:
+        return np.asarray(image[..., 0], np.float32)
+    return np.asarray(image[..., :3] @ LUMINANCE, np.float32)
 
 
 def weights(header: Mapping[str, Any]) -> NDArray[np.float32]:

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
+from lambent.frame.luma import luminance
 from lambent.frame.role import Role, Stat
-from lambent.frame.tonemap import luminance
 
 #: Side of a tile in pixels, and how many tiles (and which share of them) with noise in them it
 #: takes for a judgement: in a quiet image only the tiles with edges look noisy.

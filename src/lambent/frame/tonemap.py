@@ -1,43 +1,18 @@
 """From radiance to something a screen can show: the one tone map of Lambent.
 
-sRGB transfer of the value clipped to [0, 1], at the exposure that takes the log-average luminance
-to 0.18. One exposure serves all images of a comparison.
+sRGB transfer of the value clipped to [0, 1], at the automatic exposure of `exposure`, or
+another. One exposure serves all images of a comparison.
 """
 
 from __future__ import annotations
 
 import io
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: Rec. 709 luminance.
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-
-
-def luminance(image: NDArray[Any]) -> NDArray[np.float32]:
-    """``(H, W, 3)`` linear Rec. 709 to luminance ``(H, W)``."""
-    if image.shape[-1] == 1:
-        return np.asarray(image[..., 0], np.float32)
-    return np.asarray(image[..., :3] @ LUMINANCE, np.float32)
-
-
-def auto_exposure(image: NDArray[Any], key: float = 0.18, floor: float = 1e-4) -> float:
-    """The factor that takes the log-average luminance of ``(H, W, 3)`` to ``key``.
-
-    Pixels that are not finite or darker than ``floor`` of the mean do not count: a black
-    background shall not blow out the picture. An all-black image has exposure 1.
-    """
-    y = luminance(image)
-    y = y[np.isfinite(y) & (y > 0)]
-    if y.size == 0:
-        return 1.0
-    y = y[y > floor * float(y.mean())]
-    if y.size == 0:
-        return 1.0
-    return float(key / math.exp(float(np.mean(np.log(y, dtype=np.float64)))))
+from lambent.frame.exposure import auto_exposure
 
 
 def srgb(linear: NDArray[Any]) -> NDArray[np.float32]:

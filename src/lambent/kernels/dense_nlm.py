@@ -8,7 +8,8 @@ Only pairs inside the image count. For a band of rows and one offset at a time, 
 sums along the row go to the scratch memory of the thread, then the sums down the columns, and what
 is wanted of the weight follows at once: nothing but that leaves the second cache. Two
 kernels in loops of our own (`lambent.kernels.machine`): `least_weight_rows`, the least weight of
-the channels, is written out for a regression; `channel_mean` is a weighted mean.
+the channels, is written out for a regression; `channel_mean` is a weighted mean. What they earn is
+told in `lambent.kernels.dense_regression`.
 """
 
 from __future__ import annotations

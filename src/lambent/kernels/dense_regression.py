@@ -12,6 +12,9 @@ the whole image. For 16 neighbouring centres at a time:
   row: two loads for five multiply-adds;
 - the position in y is the same along a row. Sums with it are those of the constant, times it;
 - all bandwidths share what they read.
+
+What it earns: with `dense_nlm`, `nfor` takes 3.2 s of processor time at 640x360 in place of 17.6 s
+with Dr.Jit's kernels alone (docs/results/kernels.md).
 """
 
 from __future__ import annotations

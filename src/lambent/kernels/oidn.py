@@ -21,15 +21,17 @@ from __future__ import annotations
 import atexit
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
+from lambent.device import check_device
 from lambent.errors import EngineError
 from lambent.frame.layer import FloatImage
+from lambent.progress import Progress
 from lambent.startup import claim, owns
 
 #: OIDN's network halves the resolution four times: tiles agree when they begin on multiples of it.
@@ -39,13 +41,6 @@ ALIGNMENT = 16
 _KEPT = 4
 
 _NAME = "Open Image Denoise"
-
-_EXPOSURE_KEY = 0.18
-_EXPOSURE_FLOOR = 1e-8
-_EXPOSURE_BLOCK = 16
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)
-
-Progress = Callable[[float], object]
 
 
 @dataclass(frozen=True)
@@ -78,8 +73,8 @@ def clean(
     ``images``: ``"color"`` ``(H, W, 1 or 3)`` with optional ``"albedo"`` ``(H, W, 1 or 3)`` in
     [0, 1] and ``"normal"`` ``(H, W, 3)`` in [-1, 1] (only together with albedo); or ``"albedo"``
     or ``"normal"`` alone, which is then what is denoised. Returns float32 of the shape of what is
-    denoised. ``progress`` is called with values in [0, 1]; returning False stops the work.
-    Raises `EngineError` for what OIDN refuses, `KeyboardInterrupt` on Ctrl-C.
+    denoised. Raises `EngineError` for what OIDN refuses, `KeyboardInterrupt` on Ctrl-C,
+    and what ``progress`` raises.
     """
     claim(_NAME)
     if threading.current_thread() is not threading.main_thread():
@@ -106,28 +101,6 @@ def clean(
     if failure:
         raise failure[0]
     return outcome[0]
-
-
-def exposure(colour: FloatImage) -> float:
-    """The input scale that OIDN finds for an HDR image ``(H, W, 1 or 3)``.
-
-    The log-average, over blocks of about 16x16 pixels, of the mean luminance is taken to 0.18;
-    blocks darker than 1e-8 do not count. NaN and negative values count as 0. An image without
-    light has scale 1. OIDN computes the same in lower precision: the results of a scale given and
-    one found differ by 3e-6 of the brightest pixel at most (measured).
-    """
-    light = np.clip(np.nan_to_num(colour, nan=0.0), 0.0, np.finfo(np.float32).max)
-    y = light[..., 0] if light.shape[2] == 1 else light @ _LUMINANCE
-    for axis in (0, 1):
-        size = y.shape[axis]
-        blocks = -(-size // _EXPOSURE_BLOCK)
-        edges = np.arange(blocks + 1) * size // blocks
-        widths = np.diff(edges).reshape((-1, 1) if axis == 0 else (1, -1))
-        y = np.add.reduceat(y, edges[:-1], axis=axis, dtype=np.float64) / widths
-    y = y[y > _EXPOSURE_FLOOR]
-    if y.size == 0:
-        return 1.0
-    return float(_EXPOSURE_KEY / np.exp2(np.log2(y).mean()))
 
 
 def overlap(options: Options, aux: bool = True) -> int:
@@ -171,9 +144,8 @@ def _device(kind: str, threads: int | None) -> Any:
     key = (kind, threads)
     if key not in _devices:
         oidn = _library()
+        check_device(kind)
         types = {"auto": "Default", "cpu": "CPU", "cuda": "CUDA"}
-        if kind not in types:
-            raise EngineError(f"there is no device '{kind}'", remedy="take auto, cpu or cuda")
         try:
             device = oidn.Device(getattr(oidn.DeviceType, types[kind]))
             if threads is not None and device.type == oidn.DeviceType.CPU:
@@ -223,8 +195,7 @@ def _clean(
     def monitor(done: float) -> bool:
         if progress is not None and not stop.is_set():
             try:
-                if progress(done) is False:
-                    stop.set()
+                progress(done, 1.0, "filtering")
             except BaseException as error:  # must not travel through the C++ code
                 trouble.append(error)
                 stop.set()

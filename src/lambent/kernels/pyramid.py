@@ -9,7 +9,8 @@ weights. Pixels outside the frame never get any.
 
 Two forms: `filter_planes` compiles loops of its own (`kernels.machine`), in which the weights of a
 few pixels are made once and stay in the first cache for all channels; `reference` is the same in
-NumPy, for machines without LLVM and for tests.
+NumPy, for machines without LLVM, and the one reference of the filter: the loops are tested against
+it, PyTorch's form against the loops, and Triton's against PyTorch's.
 
 Logits come as the network gives them, channels first: ``logits[0]`` ``(4·K, H/2, W/2)`` with
 channel 4 k + 2 y + x for the pixels (2 i + y, 2 j + x), then ``(K, H/2, W/2)``, and so on; K is 35

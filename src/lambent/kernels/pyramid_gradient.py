@@ -9,7 +9,9 @@ o = Σ_k w_k c(p + δ_k) its result, a gradient g of o gives
 
 PyTorch needs thirty passes over memory for each of these; here (1) is one pass, in which logits,
 weights and sums of a few pixels stay in the first cache. The pictures of a batch are shared out
-among threads, so that each kernel call is a whole picture.
+among threads, so that each kernel call is a whole picture. That takes 0.12 s a batch of sixteen
+128x128 crops where PyTorch's operations take 0.33 s, beside 0.13 s for the network
+(docs/training.md).
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from lambent.denoise import samples
 from lambent.denoise.inputs import MASKS, OFFSET, Signals, divisor, encode, pack
+from lambent.frame import noise_level
 from lambent.learn import changes, lamps, splat
 from lambent.learn.rows import NAMES, PLANES, Rows, layer_of, random
 from lambent.learn.stills import Stills
@@ -109,16 +110,16 @@ def guessed(x: Tensor, with_albedo: Tensor) -> Tensor:
     u = torch.log1p(samples.SLOPE * x.clamp_min(0)).mean(1)
     across = u[:, :-2] + u[:, 2:] - 2 * u[:, 1:-1]
     seen = (across[:, :, :-2] + across[:, :, 2:] - 2 * across[:, :, 1:-1]).abs().flatten(1)
-    differs = seen > samples.LEAST
+    differs = seen > noise_level.LEAST
     ranked = seen.sort(1).values  # what does not differ comes first
     count = differs.sum(1, keepdim=True)
     at = seen.shape[1] - 1 - (0.25 * (count - 1).clamp_min(0)).round().long()
-    sigma = ranked.gather(1, at)[:, 0] / (6 * samples.QUARTILE)
+    sigma = ranked.gather(1, at)[:, 0] / (6 * noise_level.QUARTILE)
     (a, b), (c, d) = samples.WITH_ALBEDO, samples.WITHOUT
-    log = torch.log2(sigma.clamp_min(samples.LEAST / 10))
+    log = torch.log2(sigma.clamp_min(noise_level.LEAST / 10))
     found = torch.where(with_albedo, (a - log) / b, (c - log) / d)
     found = found.clamp(0, math.log2(samples.MOST))
-    return torch.where(count[:, 0] >= samples.ENOUGH, found, 0.0)
+    return torch.where(count[:, 0] >= noise_level.ENOUGH, found, 0.0)
 
 
 # ------------------------------------------------------------------- private

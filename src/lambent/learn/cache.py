@@ -3,7 +3,7 @@
 A cached still is one file of half floats, ``(23 L + 7, H, W)``: for each of its L noise levels the
 planes of `denoise.inputs.signals_of`, then those of `denoise.lobes` that it lacks, in the order of
 `STORED`; then the target's colour, the deviation of its mean, and its diffuse part. Colours are at
-the target's exposure (`kernels.oidn.exposure`), where a half float holds 6e-8 to 65504.
+the target's exposure (`frame.exposure.block_exposure`), where a half float holds 6e-8 to 65504.
 ``index.json`` says what is where. The cache is a folder that can be deleted at any time: it is made
 again from the data set, and grows with it.
 """
@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,11 +27,12 @@ from lambent.denoise.inputs import LAYERS, Signals, signals_of
 from lambent.denoise.lobes import LOBES, lobes_of
 from lambent.errors import LambentError, OptionError
 from lambent.frame.atomic import atomic
+from lambent.frame.exposure import block_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
-from lambent.kernels.oidn import exposure
 from lambent.learn.recipe import TrainRecipe
+from lambent.progress import Progress
 from lambent.settings import read_json
 
 #: Layers of a level in the file, after its three channels of colour.
@@ -43,8 +44,6 @@ VERSION = 2
 #: Layers in units of radiance: stored at the target's exposure.
 _RADIANCE = ("colour_std", "diffuse", "diffuse_std", "specular_std")
 _MOST = 6e4
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def cached(
 def stills_of(
     recipe: TrainRecipe,
     place: Path,
-    progress: Callable[..., None] | None = None,
+    progress: Progress | None = None,
     unpack: bool = True,
 ) -> list[Cached]:
     """The stills of all data of a training recipe; without ``unpack``, those cached by now.
@@ -185,7 +184,7 @@ def _unpack(job: tuple[Path, Path, list[int]]) -> list[tuple[str, list[dict[str,
 
 def _store(path: Path, still: Still) -> dict[str, Any]:
     """Write a still; what its entry says of it."""
-    factor = exposure(still.target.colour)
+    factor = block_exposure(still.target.colour)
     levels = [_with_lobes(signals_of(frame), frame) for frame in still.levels]
     planes = []
     for level in levels:

@@ -6,7 +6,6 @@ loses nothing of it (`lambent.dataset.make`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +13,7 @@ from lambent.dataset.make import default_folder, make
 from lambent.dataset.recipe import load_recipe
 from lambent.errors import LambentError
 from lambent.learn.recipe import TrainRecipe
-
-Progress = Callable[[float, float, str], None]
+from lambent.progress import Progress, silent
 
 
 def with_data(
@@ -40,9 +38,7 @@ def with_data(
         folders.append(str(folder))
         if not missing:
             continue
-        outcome = make(
-            wanted, folder, device=device, trust=True, progress=progress or (lambda *_: None)
-        )
+        outcome = make(wanted, folder, device=device, trust=True, progress=progress or silent)
         if outcome.failed and not outcome.made and not outcome.before:
             raise LambentError(
                 f"the data set '{wanted.name}' cannot be made: {outcome.failed[0].reason}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from lambent.learn.recipe import TrainRecipe
 from lambent.learn.rows import Rows, generator, rows_of
 from lambent.learn.stills import Stills
 from lambent.learn.task import Exportable, Learnable, ShippedTask
+from lambent.progress import Progress
 from lambent.training.task import Pictures, RecordableTask, Weights
 
 #: Subsets of layers that a network is scored with.
@@ -84,7 +85,7 @@ def cleaned(model: nn.Module, b: Batch) -> Tensor:
 
 
 def denoising_task(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    recipe: TrainRecipe, place: Path, progress: Progress | None = None
 ) -> DenoisingTask:
     """The task with the data of a recipe, cached below ``place``.
 

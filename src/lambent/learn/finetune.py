@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,20 +31,20 @@ from lambent.denoise.inputs import MASKS, Signals, signals_of
 from lambent.denoise.model_file import find_model, read_model
 from lambent.denoise.samples import seeming_samples
 from lambent.errors import LayerError, OptionError
+from lambent.frame.exposure import block_exposure
 from lambent.frame.files import read
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.role import Role, Stat
-from lambent.kernels.oidn import exposure
 from lambent.learn import changes, losses
 from lambent.learn.batches import ready
 from lambent.learn.denoising import Batch, cleaned
 from lambent.learn.export import export, float_weights
-from lambent.learn.held_out import TRIMMED
 from lambent.learn.networks.lambent import LambentNet
 from lambent.learn.networks.rounded import RoundedNet
 from lambent.learn.rows import Example, Rows, generator, rows_of
-from lambent.metrics.relmse import EPSILON
+from lambent.metrics.relmse import EPSILON, TRIM, relative, trimmed_mean
+from lambent.progress import Progress
 from lambent.training.ahead import ahead
 from lambent.training.loop import train
 from lambent.training.schedule import Schedule
@@ -77,8 +77,6 @@ SQUARE, LOGARITHM = 16.0, 0.4
 #: have seen most and whose rate is the lowest.
 ALIKE = 0.02
 SUFFIX = ".reference"
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ def pairs_of(path: Path) -> list[Pair]:
     """The pairs of a frame: with its reference, or its two halves either way round."""
     frame = read(path)
     other = path.with_name(f"{path.stem}{SUFFIX}{path.suffix}")
-    factor = np.float32(exposure(frame.colour))
+    factor = np.float32(block_exposure(frame.colour))
     epsilon = EPSILON * float(factor) ** 2
     if other.exists():
         reference = read(other).colour
@@ -321,12 +319,11 @@ class FinetuneTask(Task):
             if pair.noisy_target:
                 error, change = _against_half(out, target, first, pair.epsilon)
                 unsure.append(change)
+                errors.append(float(error.mean()))
             else:
-                size = target.mean(1, keepdim=True) ** 2 + pair.epsilon
-                error = ((out - target) ** 2 / size).mean(1)
+                error = relative((out - target) ** 2, target.mean(1, keepdim=True), pair.epsilon)
                 # a lamp's rim would outweigh all else: the trimmed error, as everywhere
-                error = error[error <= torch.quantile(error, 1 - TRIMMED)]
-            errors.append(float(error.mean()))
+                errors.append(trimmed_mean(error.mean(1).cpu().numpy(), TRIM))
         score = float(np.mean(errors))
         if unsure:  # what may be better by chance alone is not
             changes = torch.cat(unsure)
@@ -367,9 +364,9 @@ def _against_half(
     to each output a brighter one would be the better one. The half's noise is in both errors; what
     is left of it in the change is so much smaller as the outputs are alike.
     """
-    size = first.mean(1, keepdim=True) ** 2 + epsilon
-    before = ((first - half) ** 2 / size).mean(1, keepdim=True)
-    after = ((out - half) ** 2 / size).mean(1, keepdim=True)
+    centre = first.mean(1, keepdim=True)
+    before = relative((first - half) ** 2, centre, epsilon).mean(1, keepdim=True)
+    after = relative((out - half) ** 2, centre, epsilon).mean(1, keepdim=True)
     return after, F.avg_pool2d(after - before, BLOCK).flatten()
 
 

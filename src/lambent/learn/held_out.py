@@ -15,9 +15,8 @@ from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.learn.cache import Cached
 from lambent.learn.rows import Example
-
-#: Share of the pixels, those with the largest error, that the trimmed error leaves out.
-TRIMMED = 1e-3
+from lambent.metrics.relmse import TRIM, relmse
+from lambent.metrics.smape import smape
 
 
 def parted(stills: Sequence[Cached], share: float) -> tuple[list[Cached], list[Cached]]:
@@ -57,13 +56,9 @@ def spread(held: Sequence[Cached], most: int, lobes: bool = False) -> list[tuple
 
 def errors_of(x: FloatImage, example: Example) -> tuple[float, float]:
     """Trimmed relMSE less the target's own noise, and SMAPE, at the target's exposure."""
-    r = example.target[:3]
-    size = r.mean(0) ** 2 + 0.01
-    error = ((x - r) ** 2).mean(0) / size
-    keep = error <= np.quantile(error, 1 - TRIMMED)
-    noise = example.deviation[0] ** 2 / size
-    smape = (np.abs(x - r) / (np.abs(x) + np.abs(r) + 0.01)).mean()
-    return float(error[keep].mean() - noise[keep].mean()), float(smape)
+    image, target = x.transpose(1, 2, 0), example.target[:3].transpose(1, 2, 0)
+    variance = np.repeat(example.deviation[0, :, :, None] ** 2, 3, axis=2)
+    return relmse(image, target, TRIM, reference_variance=variance), smape(image, target)
 
 
 def by_oidn(example: Example, guides: Sequence[str]) -> FloatImage:

@@ -19,7 +19,7 @@ from lambent.denoise.engines import Work
 from lambent.denoise.inputs import OFFSET
 from lambent.denoise.prepare import packed_inputs
 from lambent.denoise.views import turned_inputs, turned_outputs
-from lambent.errors import EngineError
+from lambent.device import choose_device
 from lambent.frame.layer import FloatImage
 from lambent.kernels.exponential import LEAST
 from lambent.kernels.pyramid import COARSE, OWN, TINY
@@ -32,10 +32,7 @@ from lambent.learn.networks.rounded import RoundedNet
 @functools.lru_cache(maxsize=4)
 def network(model: str, device: str) -> LambentNet:
     """The network of a model file on a device. Raises `FileError`, `EngineError`."""
-    if device == "cuda" and not torch.cuda.is_available():
-        raise EngineError(
-            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
-        )
+    choose_device(device, torch.cuda.is_available)
     weights = float_weights(model, steps=True)
     size = next(n for n, widths in WIDTHS.items() if widths[0] == len(weights["stem.weight"])
                 and widths[-1] == len(weights["enc3b.weight"]))  # fmt: skip

@@ -10,8 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-#: Below this, differences count absolutely.
-EPSILON = 0.01
+from lambent.metrics.relmse import EPSILON
+
 #: How strongly the noise of a target takes from its weight.
 DISCOUNT = 4.0
 #: A noisy input that is off by less than this counts as no cleaner; one off by so much weighs 1.

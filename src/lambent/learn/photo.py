@@ -8,7 +8,7 @@ targets are made into photographs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from lambent.learn.held_out import is_held_out
 from lambent.learn.networks import dncnn
 from lambent.learn.recipe import TrainRecipe
 from lambent.learn.task import Exportable, Learnable, ShippedTask
+from lambent.progress import Progress
 from lambent.training.ahead import ahead
 from lambent.training.task import Pictures
 
@@ -90,9 +91,7 @@ class Patch:
     clean: FloatImage
 
 
-def photo_task(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
-) -> PhotoTask:
+def photo_task(recipe: TrainRecipe, place: Path, progress: Progress | None = None) -> PhotoTask:
     """The task with the pictures of a recipe. Raises `OptionError` without any, `FileError`."""
     if not recipe.data:
         raise OptionError(
@@ -272,7 +271,7 @@ def _spread(pictures: list[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
     return [pictures[i] for i in order]
 
 
-def _rendered(folder: Path, place: Path, progress: Callable[..., None] | None) -> list[Photograph]:
+def _rendered(folder: Path, place: Path, progress: Progress | None) -> list[Photograph]:
     """The targets of a data set as photographs, made once and kept in the cache.
 
     A target still has noise of its own, which a photograph for training must not have: it is

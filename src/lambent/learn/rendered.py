@@ -8,7 +8,7 @@ what its loss is (`RenderedNetwork`). What they may look at is in `denoise.lobes
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -29,6 +29,7 @@ from lambent.learn.rows import Example, Rows, generator, random, rows_of
 from lambent.learn.stills import Stills
 from lambent.learn.task import Exportable, Learnable, ShippedTask
 from lambent.learn.tasks import TASKS
+from lambent.progress import Progress
 from lambent.training.ahead import ahead
 from lambent.training.task import Pictures, Weights
 
@@ -141,7 +142,7 @@ class RenderedNetwork(nn.Module, ABC):
 
 
 def rendered_task(
-    recipe: TrainRecipe, place: Path, progress: Callable[..., None] | None = None
+    recipe: TrainRecipe, place: Path, progress: Progress | None = None
 ) -> RenderedTask:
     """The task with the data of a recipe, cached below ``place``.
 

@@ -16,8 +16,8 @@ from lambent.learn.export import export_run, float_weights
 from lambent.learn.recipe import MAY_DIFFER, TrainRecipe, load_train_recipe
 from lambent.learn.task import Learnable
 from lambent.learn.tasks import TASKS
+from lambent.progress import Progress
 from lambent.startup import cache_folder
-from lambent.training.loop import Progress
 from lambent.training.loop import train as run_loop
 from lambent.training.process import join
 from lambent.training.run import Run

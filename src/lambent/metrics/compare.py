@@ -8,7 +8,7 @@ metrics, but everything else is there: statistics, and maps of the *change* from
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 
 from lambent.errors import LayerError, OptionError
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
-from lambent.frame.tonemap import auto_exposure
 from lambent.metrics.align import Cut, aligned
 from lambent.metrics.metric import METRICS, Metric, chosen
 from lambent.metrics.pair import FloatArray, Pair, as_rgb
 from lambent.metrics.picture import Picture
+from lambent.progress import Progress
 
 Thing = Any  # a path, a Frame, or an array
 
 #: Called before each metric of each image with (what comes, how many are done, how many in all).
-Progress = Callable[[str, int, int], None]
 
 
 _ARROWS = {"lower": "↓", "higher": "↑"}
@@ -235,7 +235,7 @@ def compare(
         pair, values = pairs[picture.name], {}
         for kind in kinds:
             if progress is not None:
-                progress(f"{kind.title} of {picture.name}", done, steps)
+                progress(done, steps, f"{kind.title} of {picture.name}")
             values[kind.name] = kind.score(pair)
             done += 1
         bad = int((~np.isfinite(picture.image).all(axis=2)).sum())

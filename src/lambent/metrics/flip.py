@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from lambent.errors import EngineError
-from lambent.frame.tonemap import luminance
+from lambent.frame.luma import luminance
 from lambent.metrics.metric import Metric
 from lambent.metrics.pair import FloatArray, Pair
 

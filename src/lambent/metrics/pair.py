@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import LayerError
-from lambent.frame.tonemap import auto_exposure, display
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import display
 
 FloatArray = NDArray[np.float32]
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lambent.frame.tonemap import luminance
+from lambent.frame.luma import luminance
+from lambent.frame.noise_level import grain
 from lambent.frame.windows import Windows
 from lambent.metrics.pair import FloatArray
 
@@ -38,10 +39,9 @@ class Picture:
     def statistics(self) -> dict[str, float]:
         """Facts about the pixels that need no reference.
 
-        ``mean``, ``median``, ``max`` of the luminance and ``noise``, the median absolute second
-        difference along rows relative to the mean, over pixels that are finite (a measure of
-        grain: texture counts too); ``nonfinite``: pixels with NaN or Inf; ``negative``: pixels
-        with a negative channel.
+        ``mean``, ``median``, ``max`` of the luminance and ``noise``, `frame.noise_level.grain`
+        relative to the mean, over pixels that are finite; ``nonfinite``: pixels with NaN or Inf;
+        ``negative``: pixels with a negative channel.
         """
         sound = np.isfinite(self.image).all(axis=2)
         y = luminance(self.image)
@@ -56,9 +56,5 @@ class Picture:
             "negative": float((self.image < 0).any(axis=2).sum()),
         }
         if y.shape[1] >= 3 and facts["mean"] > 0:
-            with np.errstate(invalid="ignore"):
-                second = np.abs(y[:, 2:] - 2 * y[:, 1:-1] + y[:, :-2])
-            second = second[np.isfinite(second)]
-            if second.size:
-                facts["noise"] = float(np.median(second)) / facts["mean"]
+            facts["noise"] = grain(y) / facts["mean"]
         return facts

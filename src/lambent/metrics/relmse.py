@@ -50,6 +50,38 @@ def relmse(
     return _score(Pair.of(image, reference, 1.0, reference_variance), trim)
 
 
+def expected_relmse(colour: Any, variance: Any, epsilon: float = EPSILON) -> float:
+    """relMSE that a picture ``(H, W, 3)`` without bias has by the variance of its pixel means.
+
+    The worst 0.1 % of the pixels are left out: their variance says little. ``epsilon``: in place
+    of `EPSILON`, for radiance in other units.
+    """
+    noise = np.asarray(variance).mean(axis=2, dtype=np.float64)
+    return trimmed_mean(
+        relative(noise, np.asarray(colour).mean(axis=2, dtype=np.float64), epsilon), TRIM
+    )
+
+
+def relative(squared: Any, centre: Any, epsilon: Any = EPSILON) -> Any:
+    """The summand of (1) from (x - r)² and the mean of r's channels: arrays or tensors."""
+    return squared / (centre * centre + epsilon)
+
+
+def trimmed_mean(error: FloatArray, trim: float) -> float:
+    """Mean of ``error`` without the fraction ``trim`` of its values, the largest; NaN of none.
+
+    What is left out is rounded down to whole values. Raises `OptionError` for a trim outside
+    [0, 1).
+    """
+    if not 0 <= trim < 1:
+        raise OptionError(f"trim is {trim}", remedy="give a fraction from 0 to below 1")
+    chosen = error.ravel()
+    drop = int(trim * chosen.size)
+    if drop:
+        chosen = np.partition(chosen, chosen.size - drop)[: chosen.size - drop]
+    return float(chosen.mean(dtype=np.float64)) if chosen.size else float("nan")
+
+
 def relmse_map(image: Any, reference: Any, *, reference_variance: Any = None) -> FloatArray:
     """The summands of (1) for each pixel ``(H, W)``; 0 where the reference is not finite."""
     return _map(Pair.of(image, reference, 1.0, reference_variance))
@@ -68,7 +100,7 @@ def _make(pair: Pair) -> FloatArray:
             variance = np.where(pair.counted[:, :, None], pair.reference_variance, 0)
             squared = squared - variance.mean(axis=2, dtype=np.float32)
         centre = (r[..., 0] + r[..., 1] + r[..., 2]) / np.float32(3)
-        error = np.asarray(squared / (centre * centre + np.float32(EPSILON)), np.float32)
+        error = np.asarray(relative(squared, centre), np.float32)
     if pair.bad.any():
         # `pair.image` is black at bad pixels, so `error` is that of a black pixel there.
         sound = error[~pair.bad]
@@ -78,14 +110,8 @@ def _make(pair: Pair) -> FloatArray:
 
 
 def _score(pair: Pair, trim: float) -> float:
-    if not 0 <= trim < 1:
-        raise OptionError(f"trim is {trim}", remedy="give a fraction from 0 to below 1")
     error = _map(pair)
-    chosen = error.ravel() if pair.counted.all() else error[pair.counted]
-    drop = int(trim * chosen.size)
-    if drop:
-        chosen = np.partition(chosen, chosen.size - drop)[: chosen.size - drop]
-    return float(chosen.mean(dtype=np.float64)) if chosen.size else float("nan")
+    return trimmed_mean(error if pair.counted.all() else error[pair.counted], trim)
 
 
 RELMSE = Metric(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
 from lambent.frame.role import Role, Space, Stat
+from lambent.metrics.relmse import expected_relmse
 from lambent.render.channels import Group
 
 
@@ -86,16 +87,9 @@ class Moments:
         return result
 
     def error(self) -> float:
-        """Estimated relMSE of the colour as in `lambent.metrics.relmse`, from its variance.
-
-        The worst 0.1 % of the pixels are left out: their variance says little.
-        """
+        """The expected relMSE of the colour, from its variance."""
         colour = self.at("colour")
-        grey = self.mean[:, :, colour].mean(axis=2)
-        noise = self.variance()[:, :, colour].mean(axis=2)
-        each = np.sort((noise / (grey * grey + 0.01)).ravel())
-        kept = each[: max(1, each.size - each.size // 1000)]
-        return float(kept.mean(dtype=np.float64))
+        return expected_relmse(self.mean[:, :, colour], self.variance()[:, :, colour])
 
     def frame(self, *, variance: bool = True, halves: bool = True, **fields: Any) -> Frame:
         """A `Frame`: every group a layer, with its variance, and two half buffers.

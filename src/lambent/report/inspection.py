@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.role import INFO, Role
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 from lambent.metrics.compare import number
 from lambent.metrics.pair import FloatArray
 from lambent.report.page import build, escape, picture, save, table

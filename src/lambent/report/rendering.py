@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
 from lambent.frame.role import Role, Stat
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 from lambent.metrics.compare import number
 from lambent.report.page import build, escape, picture, save
 

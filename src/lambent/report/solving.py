@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lambent.frame.tonemap import auto_exposure, to_png
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.tonemap import to_png
 from lambent.metrics.compare import number
 from lambent.render.scene import LoadedScene
 from lambent.report.curve import curve

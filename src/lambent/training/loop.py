@@ -28,6 +28,7 @@ from torch.nn.parallel import DistributedDataParallel
 from lambent.errors import FileError, OptionError
 from lambent.frame.atomic import atomic
 from lambent.frame.tonemap import to_png
+from lambent.progress import Progress
 from lambent.training.graphed import Graphed
 from lambent.training.log import Log, note
 from lambent.training.process import Process, join
@@ -39,8 +40,6 @@ from lambent.training.task import RecordableTask, Task, Weights
 SAVE_EVERY = 120.0
 #: More steps than any run takes: one that ends by the clock.
 ENDLESS = 1 << 60
-
-Progress = Callable[[float, float, str], None]
 
 
 def train(

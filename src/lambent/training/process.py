@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import torch
 
-from lambent.errors import EngineError, OptionError
+from lambent.device import choose_device
 
 #: The first process may have data to make before the others can go on.
 PATIENCE = datetime.timedelta(days=7)
@@ -38,13 +38,7 @@ def join(device: str) -> Process:
 
     Raises `OptionError` for an unknown device, `EngineError` for one that is not there.
     """
-    if device not in ("auto", "cpu", "cuda"):
-        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise EngineError(
-            "no CUDA device was found", remedy="use --device cpu, or check the NVIDIA driver"
-        )
-    kind = "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+    kind = choose_device(device, torch.cuda.is_available)
     world, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
     here = int(os.environ.get("LOCAL_RANK", 0))
     place = torch.device("cuda", here) if kind == "cuda" else torch.device("cpu")

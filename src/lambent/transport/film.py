@@ -12,8 +12,9 @@ import numpy as np
 
 from lambent.errors import EngineError, OutputError
 from lambent.frame.atomic import check_target
+from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
-from lambent.frame.tonemap import auto_exposure, to_uint8
+from lambent.frame.tonemap import to_uint8
 
 
 def write_film(

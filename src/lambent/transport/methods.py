@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from lambent.errors import OptionError, UnknownNameError
+from lambent.progress import Progress
 from lambent.registry import Registry
 from lambent.settings import settings_of
 
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from lambent.render.scene import LoadedScene
 
 
-Progress = Callable[[float, float, str], None]
 #: The solutions of a method.
 S = TypeVar("S")
 Watch = Callable[[S], None]

@@ -18,11 +18,12 @@ import numpy as np
 from lambent.archive import Archive, check_card, read_archive, write_archive
 from lambent.errors import FileError, OptionError
 from lambent.frame.frame import Frame
+from lambent.progress import Progress
 from lambent.render.animation import Animation, Stage, look_at, read_keyframes
 from lambent.render.complaint import explaining
 from lambent.render.scene import LoadedScene, film_windows
 from lambent.transport.extra import check_extra
-from lambent.transport.methods import METHODS, Method, Progress, View
+from lambent.transport.methods import METHODS, Method, View
 
 #: Samples a pixel of a view where nothing is said.
 SPP = 64

@@ -9,8 +9,9 @@ from typing import Any
 
 from lambent.errors import FileError, OptionError
 from lambent.frame.atomic import check_target
+from lambent.progress import Progress
 from lambent.transport.extra import check_extra
-from lambent.transport.methods import DEFAULT_METHOD, METHODS, Method, Progress, Watch
+from lambent.transport.methods import DEFAULT_METHOD, METHODS, Method, Watch
 from lambent.transport.solution import Solution, open_solution
 
 

@@ -19,13 +19,15 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from lambent.device import check_device
 from lambent.errors import DamagedFileError, EngineError, FileError, OptionError, UnknownNameError
 from lambent.frame.atomic import atomic, check_target
 from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 from lambent.frame.windows import Windows
+from lambent.progress import Progress
 from lambent.render.cycles.frames import joined, with_lobes
-from lambent.render.cycles.process import BlenderProcess, Refusal, Report
+from lambent.render.cycles.process import BlenderProcess, Refusal
 
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 #: The file's own version: ``BLENDER-v405`` up to 4.x, ``BLENDER17-01v0500`` from 5.0 on.
@@ -48,7 +50,7 @@ def render_blend(
     halves: bool = False,
     cryptomatte: bool = False,
     passes: str = "all",
-    progress: Report | None = None,
+    progress: Progress | None = None,
     process: BlenderProcess | None = None,
 ) -> Frame:
     """The frame that Cycles renders of a .blend file, noisy, with all passes.
@@ -88,7 +90,7 @@ def render_blend_frames(
     halves: bool = False,
     cryptomatte: bool = False,
     passes: str = "all",
-    progress: Report | None = None,
+    progress: Progress | None = None,
     process: BlenderProcess | None = None,
 ) -> Iterator[tuple[int, Frame]]:
     """Frames of a .blend by number, one after another from one Blender (see `render_blend`).
@@ -181,8 +183,7 @@ def _check_options(
         raise OptionError(f"a path has 0 to 1024 bounces, not {depth}")
     if time is not None and not time > 0:
         raise OptionError(f"a time limit of {time} s leaves no time")
-    if device not in ("auto", "cpu", "cuda"):
-        raise OptionError(f"there is no device '{device}'", remedy="take auto, cpu or cuda")
+    check_device(device)
     if passes not in ("all", "light"):
         raise OptionError(f"there is no set of passes '{passes}'", remedy="take all or light")
 

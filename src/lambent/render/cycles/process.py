@@ -14,18 +14,16 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from lambent.errors import EngineError
+from lambent.progress import Progress
 from lambent.render.cycles.find import Blender, find_blender
 
 SERVER = Path(__file__).parent / "inside" / "server.py"
-#: ``progress(done, total, text)``: samples per pixel that are finished, over all pictures.
-Report = Callable[[float, float, str], None]
 
 
 class Refusal(Exception):  # noqa: N818  (callers turn it into an error that names the file)
@@ -108,7 +106,7 @@ class BlenderProcess:
             raise
         self.version = facts["text"]
 
-    def order(self, what: dict[str, Any], progress: Report | None = None) -> dict[str, Any]:
+    def order(self, what: dict[str, Any], progress: Progress | None = None) -> dict[str, Any]:
         """Send an order and wait until it is done; the facts of the answer.
 
         Raises `Refusal`, and `EngineError` where Blender died, with the end of its log.
@@ -160,7 +158,7 @@ class BlenderProcess:
     def _log(self) -> str:
         return str(Path(self._scratch or "") / "blender.log")
 
-    def _answer(self, progress: Report | None) -> dict[str, Any]:
+    def _answer(self, progress: Progress | None) -> dict[str, Any]:
         assert self._process is not None
         assert self._process.stdout is not None
         for line in self._process.stdout:

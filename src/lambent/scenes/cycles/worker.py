@@ -22,9 +22,10 @@ from lambent.errors import EngineError, OptionError
 from lambent.frame.files import read
 from lambent.frame.frame import Frame
 from lambent.frame.role import Role, Stat
+from lambent.progress import Progress
 from lambent.render.cycles.find import Blender
 from lambent.render.cycles.frames import joined, passes_of, with_lobes, world_normal
-from lambent.render.cycles.process import BlenderProcess, Refusal, Report
+from lambent.render.cycles.process import BlenderProcess, Refusal
 
 #: The package that builds the scenes, in Blender's Python.
 BUILDER = Path(__file__).parent / "inside"
@@ -107,7 +108,7 @@ class CyclesWorker:
         cameras: int = 1,
         kind: str | None = None,
         crop: float | None = None,
-        progress: Report | None = None,
+        progress: Progress | None = None,
     ) -> list[RandomView]:
         """Views of the random scene of a seed: ``cameras`` × ``frames`` of them, by camera.
 
@@ -133,7 +134,7 @@ class CyclesWorker:
 
     def _view(
         self, scene: dict[str, Any], n: int, frame: int, levels: list[list[int]],
-        size: tuple[int, int], progress: Report | None,
+        size: tuple[int, int], progress: Progress | None,
     ) -> RandomView:  # fmt: skip
         scratch = self._process.scratch
         pictures: list[dict[str, Any]] = []

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from lambent.progress import Progress
 from lambent.transport.jit import dr, mi
 from lambent.transport.radiosity.patches import Index, Patches
 from lambent.transport.radiosity.probe import Probe, faces_of, lattice
@@ -52,7 +53,7 @@ def cast(
     reflecting: NDArray[np.bool_],
     rays: int,
     seed: int = 0,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> Cast:
     """Cast ``rays`` from each of ``faces``; ``reflecting`` ``(2 n,)``: faces that are not black."""
     cell_patch = mi.Int32(patches.cell_patch)
@@ -72,7 +73,7 @@ def cast(
         ).tocsr()
         parts.append(found)
         if progress is not None:
-            progress(min(first + step, len(faces)), len(faces))
+            progress(min(first + step, len(faces)), len(faces), "form factors by rays")
     if not parts:
         return Cast(sparse.csr_matrix((0, 2 * len(patches)), dtype=np.float32), np.zeros(0))
     return Cast(sparse.vstack(parts, format="csr"), np.concatenate(escaped))

@@ -23,7 +23,6 @@ All pairs cost n²: for up to a few thousand patches. Beyond that, `casting`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,6 +31,7 @@ from scipy import sparse
 
 from lambent.errors import OptionError
 from lambent.kernels.extremes import greater
+from lambent.progress import Progress
 from lambent.transport.jit import dr, mi
 from lambent.transport.radiosity.patches import Index, Patches
 from lambent.transport.radiosity.probe import Probe, lattice
@@ -119,7 +119,7 @@ def exchange_matrix(
     faces: Index,
     live: NDArray[np.bool_],
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Any, Array]:
     """G = A_i F_ij ``(n, n)`` CSR of these faces, and what each sees of them ``(n,)``.
 
@@ -174,7 +174,7 @@ def exchange_matrix(
         columns.append(b[good])
         values.append(g[good])
         if progress is not None:
-            progress(min(first + block, len(faces)), len(faces))
+            progress(min(first + block, len(faces)), len(faces), "form factors by pairs")
     n = len(faces)
     if not values:
         return sparse.csr_matrix((n, n)), np.zeros(n)

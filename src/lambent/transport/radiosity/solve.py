@@ -9,9 +9,10 @@ import numpy as np
 
 from lambent.errors import OptionError, by_interrupt
 from lambent.phases import Phases
+from lambent.progress import Progress, silent
 from lambent.render.scene import LoadedScene
 from lambent.transport.diffuse import assumptions
-from lambent.transport.methods import Progress, Watch
+from lambent.transport.methods import Watch
 from lambent.transport.radiosity import adaptive
 from lambent.transport.radiosity.patches import Patches, cluster, size_for, uniform
 from lambent.transport.radiosity.settings import Settings
@@ -45,7 +46,7 @@ def solve(
     solution as it grows. Ctrl-C while solving ends it; the result is marked ``interrupted``.
     Raises `OptionError`: no surface, nothing lights any, too little memory for the solver.
     """
-    work = _Work(loaded, settings, progress or (lambda done, total, text: None), watch)
+    work = _Work(loaded, settings, progress or silent, watch)
     return work.go_on(start) if start is not None else work.begin()
 
 

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lambent.errors import OptionError, by_interrupt
+from lambent.memory import available
 
 Array = NDArray[np.float64]
 Steps = Iterator[Array]
@@ -73,8 +74,8 @@ def direct(eq: Equation) -> Steps:
     from scipy import linalg
 
     n = len(eq.first)
-    need, there = 3 * n * n * 8, _memory()
-    if need > there:
+    need, there = 3 * n * n * 8, available()
+    if there is not None and need > there:
         raise OptionError(
             f"the direct solver needs {need / 2**30:.1f} GiB for {n:,} faces, and "
             f"{there / 2**30:.1f} GiB are free",
@@ -264,18 +265,3 @@ def run(
             raise
         return x, history, True
     return x, history, False
-
-
-# ------------------------------------------------------------------- private
-
-
-def _memory() -> float:
-    """Bytes that are free, as far as the system tells."""
-    try:
-        with open("/proc/meminfo") as file:
-            for line in file:
-                if line.startswith("MemAvailable"):
-                    return 1024.0 * float(line.split()[1])
-    except OSError:
-        pass
-    return 4.0 * 2**30

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,15 +66,12 @@ class Measure:
         of = self.scene, self.patches, self.probe, faces, live
         wish = self.settings
 
-        def at(words: str) -> Callable[[float, float], None]:
-            return lambda done, total: self.say(done, total, f"form factors by {words}")
-
         if wish.factors == "pairs":
             from lambent.transport.radiosity.pairs import exchange_matrix
 
-            g, seen = exchange_matrix(*of, wish.seed, at("pairs"))
+            g, seen = exchange_matrix(*of, wish.seed, self.say)
             return balanced(g, area, seen)
-        shares = cast(*of, wish.rays, wish.seed, at("rays")).shares[:, faces]
+        shares = cast(*of, wish.rays, wish.seed, self.say).shares[:, faces]
         seen = np.asarray(shares.sum(axis=1)).ravel()
         self.say(0, 1, "reciprocity")
         return balanced(symmetric(shares, area), area, seen, wish.rays)
