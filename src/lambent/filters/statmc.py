@@ -119,7 +119,7 @@ class StatMC(Denoiser):
                 f"the model '{self.about.name}' needs colour.variance, "
                 "or both colour.half_a and colour.half_b",
                 file=frame.path,
-                remedy="let the renderer write a variance pass, or take the model nfor",
+                remedy="let the renderer write a variance pass, or take the model nfor-tuned",
             )
         freedom = 2.0 * frame.spp - 2.0 if frame.spp is not None else np.inf
         if freedom <= 0:
