@@ -4,9 +4,9 @@
 
 ``radiosity_room.jpg``: the Cornell box as patches, smooth, with final gather, and by path tracing.
 ``radiosity_growing.jpg``: progressive refinement, from the lamp's first shot on.
-``radiosity_living.jpg``: ``living-room``, taken as diffuse. ``radiosity_error.svg``: error over patches, from the JSON of
-``benchmarks/radiosity.py accuracy`` (``--curve NAME=FILE.json``). The film of the page is made by
-the command that the page shows.
+``radiosity_living.jpg``: ``living-room``, taken as diffuse. ``radiosity_error.svg``: error over
+patches, from the JSON of ``benchmarks/radiosity.py accuracy`` (``--curve NAME=FILE.json``). The
+film of the page is made by the command that the page shows.
 """
 
 from __future__ import annotations

@@ -75,9 +75,9 @@ def test_another_kind_is_named(sound):
 @pytest.mark.parametrize(
     ("card", "words"),
     [
-        ({"kind": "virus"}, "is no field"),
-        ({"kind": ["field"]}, "is no field"),
-        ({"kind": None}, "is no field"),
+        ({"kind": "virus"}, "is not a Lambent field"),
+        ({"kind": ["field"]}, "is not a Lambent field"),
+        ({"kind": None}, "is not a Lambent field"),
         ({"format": 99}, "another version"),
         ({"format": "x" * 10000}, "another version"),
         ({"sha256": {}}, "checksum for each member"),
@@ -124,16 +124,16 @@ def test_values_of_other_types_are_named(sound, value, kind):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "no sound header"),
-        (b"\x93NUMPY\x07\x00", "no sound header"),
+        (b"", "no valid header"),
+        (b"\x93NUMPY\x07\x00", "no valid header"),
         (npy("{'descr': '<f4', 'fortran_order': False, 'shape': (10**9,), }"), "header"),
         (npy("{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000000, 3), }"), "bytes"),
         (npy("{'descr': '<f4', 'fortran_order': False, 'shape': (-4, -3), }", b"0" * 48), "header"),
         (npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"0" * 8), "header"),
         (npy("{'descr': '<f4', 'fortran_order': True, 'shape': (4, 3), }", b"0" * 48), "header"),
         (npy("{'descr': '<f4', 'fortran_order': False, 'shape': (4, 3), }", b"0" * 44), "bytes"),
-        (npy("__import__('os').system('true')"), "no sound header"),
-        (npy("(" * 5000), "no sound header"),
+        (npy("__import__('os').system('true')"), "no valid header"),
+        (npy("(" * 5000), "no valid header"),
         (packed_array(ARRAY.astype(np.float64)), "float64"),
         (packed_array(ARRAY[:, :2]), "float32"),
         (packed_array(np.full((4, 3), np.nan, np.float32)), "not finite"),

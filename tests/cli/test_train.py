@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lambent.cli import main, train
-from lambent.learn.loop import Run
+from lambent.training.run import Run
 
 
 def run(capsys, *args):

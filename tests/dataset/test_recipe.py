@@ -40,7 +40,7 @@ def test_an_unknown_key_is_answered_with_the_nearest(tmp_path):
         ("vary = 1", "true or false"),
         ("uniform = 1.5", "out of range"),
         ("spp = [64, 4]", "upside down"),
-        ("crop = 1000", "no crop"),
+        ("crop = 1000", "cannot hold a crop"),
         ("name = 'a/b'", "no name"),
     ],
 )

@@ -30,7 +30,7 @@ from lambent.phases import Phases
 from lambent.progress import Progress, silent
 
 Picture = NDArray[np.uint8]
-_GAP, _PAPER, _INK, _LINE, _LETTERS = 4, 24, 200, 15, 11
+_GAP, _PAPER, _INK, _LINE, _LETTERS = 4, 24, 215, 20, 15
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ class DnCNN(Denoiser):
         if is_display(frame):
             return ()
         return (
-            "dncnn knows photographs: radiance was tone-mapped for it, and what is brighter than "
+            "dncnn is for photographs: radiance was tone-mapped for it, and what is brighter than "
             "white was left as it is",
         )
 

@@ -59,9 +59,9 @@ def check_graph(model: ModelFile, graph: Any, outputs: Sequence[tuple[int, int]]
     wrong = _operations(graph) or _shapes(graph, outputs)
     if wrong:
         raise DamagedFileError(
-            f"holds a network that is none of Lambent's: {wrong}",
+            f"holds a network that is not one of Lambent's: {wrong}",
             file=model.path,
-            remedy="take models from those whom you trust, or train one: lambent train",
+            remedy="use models from people you trust, or train one: lambent train",
         )
 
 
@@ -79,7 +79,7 @@ def _shapes(graph: Any, outputs: Sequence[tuple[int, int]]) -> str:
     for number, port in enumerate(small.inputs):
         shape = port.get_partial_shape()
         if shape.rank.is_dynamic or shape.rank.get_length() != 4 or shape[1].is_dynamic:
-            return f"its input {number} is no picture with channels"
+            return f"its input {number} is not an image with channels"
         sizes[port] = [1, shape[1].get_length(), _EDGE, _EDGE]
     try:
         small.reshape(sizes)

@@ -153,8 +153,8 @@ class _TwoParts(NetworkDenoiser):
         if lobes_of(frame):
             return ()
         return (
-            f"{self.about.name} wants diffuse and specular light apart: all light went through "
-            "the diffuse network",
+            f"{self.about.name} works best with separate diffuse and specular light: all light "
+            "went through the diffuse network",
         )
 
     def _said(self, frame: Frame) -> _Said:
@@ -238,7 +238,10 @@ class DPCN(_TwoParts):
         """Whether there is light that the network cannot say."""
         if not has_negative_light(frame.colour):
             return super().remarks(frame)
-        return (*super().remarks(frame), "dpcn gives no negative light: it was left as it is")
+        return (
+            *super().remarks(frame),
+            "dpcn predicts no negative light: it was left as it is",
+        )
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
         """As KPCN. Raises `OptionError` for layers that it does not say: it has no kernels."""

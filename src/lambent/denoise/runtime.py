@@ -259,7 +259,7 @@ def _made(
 
 def _refused(model: ModelFile, error: RuntimeError) -> DamagedFileError:
     return DamagedFileError(
-        f"OpenVINO does not take this network: {str(error).strip().splitlines()[-1]}",
+        f"OpenVINO rejects this network: {str(error).strip().splitlines()[-1]}",
         file=model.path,
         remedy="install Lambent again, or export the model again",
     )

@@ -181,7 +181,7 @@ def explain(
     if not denoiser.about.linear and getattr(denoiser, "weights_at", None) is None:
         linear = [n for n in DENOISERS if DENOISERS[n].about.linear]
         raise OptionError(
-            f"the result of '{name}' is no weighted mean of pixels: it has no weights to show",
+            f"the result of '{name}' is not a weighted mean of pixels: it has no weights to show",
             remedy=f"take one of {', '.join(linear)}",
         )
     if not (0 <= x < frame.width and 0 <= y < frame.height):
