@@ -83,7 +83,7 @@ def test_another_kind_is_named(sound):
         ({"sha256": {}}, "checksum for each member"),
         ({"sha256": None}, "checksum for each member"),
         ({"sha256": {"a.npy": 5}}, "checksum for each member"),
-        ({"sha256": {"a.npy": "0" * 64}}, "not what its checksum"),
+        ({"sha256": {"a.npy": "0" * 64}}, "does not match its checksum"),
         ({"sha256": {"a.npy": "0" * 64, "../b": "0" * 64}}, "checksum for each member"),
     ],
 )

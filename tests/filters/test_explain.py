@@ -125,7 +125,7 @@ def test_negative_weights_are_blue():
 def test_what_cannot_be_explained():
     with pytest.raises(OptionError, match="60x44"):
         explain(frame(), "box", 60, 0)
-    with pytest.raises(OptionError, match="no weighted mean"):
+    with pytest.raises(OptionError, match="not a weighted mean"):
         explain(frame(), "oidn", 0, 0)
 
 

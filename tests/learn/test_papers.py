@@ -383,7 +383,7 @@ def test_learned_kernels_are_explained(tmp_path):
         assert np.count_nonzero(one.weights) == 25
     assert np.abs(found["diffuse"].weights - found["specular"].weights).max() > 1e-6
     assert found["diffuse"].bias is None  # its result is no mean of the picture
-    with pytest.raises(OptionError, match="no weighted mean"):
+    with pytest.raises(OptionError, match="not a weighted mean"):
         explain(frame, "dpcn", 20, 30)
 
 
