@@ -110,7 +110,7 @@ ORDER = (
     "box", "gaussian", "bilateral", "cross-bilateral", "nlm", "joint-nlm", "atrous", "atrous-tuned",
     "sbf", "sbf-tuned", "aaf", "nfor", "nfor-tuned", "statmc", "statmc-tuned",
     "dncnn", "dpcn", "kpcn", "modular", "lambent", "lambent-fast", "lambent-best",
-    "oidn", "oidn-balanced", "oidn-fast", "oidn-best",
+    "oidn", "oidn-balanced", "oidn-fast", "oidn-best", "lambent-oidn", "auto",
 )  # fmt: skip
 
 
@@ -146,7 +146,9 @@ def filters() -> list[tuple[str, str]]:
     for name in _names():
         kind = DENOISERS[name]
         about = kind.about
-        out = [f"# {name}: {about.title}", "", f"*{about.paper}*", ""]
+        out = [f"# {name}: {about.title}", ""]
+        if about.paper:
+            out += [f"*{about.paper}*", ""]
         out += [f"**When to use it:** {about.when}", ""]
         if name in METHODS:
             out += [f"**How it works**, with equations: [](../../methods/{METHODS[name]}.md).", ""]

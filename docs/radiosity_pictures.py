@@ -3,10 +3,10 @@
     python docs/radiosity_pictures.py SCENES_DIR [--only room,growing,living,curve]
 
 ``radiosity_room.jpg``: the Cornell box as patches, smooth, with final gather, and by path tracing.
-``radiosity_growing.jpg``: progressive refinement. ``radiosity_living.jpg``: ``living-room``, taken
-as diffuse. ``radiosity_error.svg``: error over patches, from the JSON of
-``benchmarks/radiosity.py accuracy`` (``--curve NAME=FILE.json``). The film of the page is made by
-the command that the page shows.
+``radiosity_growing.jpg``: progressive refinement, from the lamp's first shot on.
+``radiosity_living.jpg``: ``living-room``, taken as diffuse. ``radiosity_error.svg``: error over
+patches, from the JSON of ``benchmarks/radiosity.py accuracy`` (``--curve NAME=FILE.json``). The
+film of the page is made by the command that the page shows.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.tonemap import to_uint8
@@ -27,17 +28,20 @@ from lambent.render.variant import mitsuba
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "pictures"
 GAP, PAPER, INK = 4, (250, 249, 246), (40, 40, 40)
+#: Shots of progressive refinement after which a picture is taken.
+SHOTS = (1, 16, 200, 1000, 20000)
 
 
 def strip(images: list[Any], exposure: float, names: list[str], path: Path) -> None:
-    """Pictures side by side with a name under each."""
+    """Pictures side by side with a name of one or more lines under each."""
     cells = [Image.fromarray(to_uint8(image, exposure)) for image in images]
     width = sum(c.width + GAP for c in cells) - GAP
-    made = Image.new("RGB", (width, cells[0].height + 18), PAPER)
-    draw, x = ImageDraw.Draw(made), 0
+    lines = max(name.count("\n") + 1 for name in names)
+    made = Image.new("RGB", (width, cells[0].height + 6 + 19 * lines), PAPER)
+    draw, font, x = ImageDraw.Draw(made), ImageFont.load_default(15), 0
     for cell, name in zip(cells, names, strict=True):
         made.paste(cell, (x, 0))
-        draw.text((x + 2, cell.height + 3), name, INK)
+        draw.text((x + 2, cell.height + 3), name, INK, font)
         x += cell.width + GAP
     made.save(path, quality=82)
     print(path)
@@ -69,22 +73,43 @@ def room(scenes: Path) -> None:
 
 
 def growing(scenes: Path) -> None:
-    """Progressive refinement, after so many shots."""
+    """Progressive refinement from the first shot on; all light, the lamp's too, goes through F."""
+    from lambent.phases import Phases
     from lambent.transport.radiosity.settings import Settings
     from lambent.transport.radiosity.solve import solve
+    from lambent.transport.radiosity.solvers import southwell
+    from lambent.transport.radiosity.system import system_of
     from lambent.transport.scene import load_for_light
     from lambent.transport.solution import picture
+    from lambent.transport.surfaces import surfaces_of
 
-    loaded = load_for_light(scenes / "cornell-box" / "scene.xml", size=(192, 192))
-    images, names = [], []
-    shown = None
-    for steps in (1, 4, 12, 40, 200):
-        found = solve(loaded, Settings(patches=4000, solver="southwell", steps=steps))
-        shown = shown or found.integrator("smooth")
-        shown.update(found)
-        images.append(picture(shown, loaded, 32, "none").colour)
-        shots = steps * max(1, int(found.live.sum()) // 50)
-        names.append(f"{shots:,} shots, {found.history.residuals[-1]:.0e}")
+    loaded = load_for_light(scenes / "cornell-box" / "scene.xml", size=(200, 200))
+    settings = Settings(patches=4000, direct="factors", factors="pairs")
+    solved = solve(loaded, settings)
+    patches = solved.patches_on(surfaces_of(loaded.scene))
+    system = system_of(loaded, patches, settings, Phases(), lambda *_: None)
+    at, rho, area = system.faces, system.equation.reflectance, system.equation.area
+    emission = system.emission[at]
+    eq = replace(system.equation, first=emission)
+    whole = solved.reflected[at]
+    images, names, shown = [], [], solved.integrator("smooth")
+    for shots, x in enumerate(southwell(eq, every=1), 1):
+        if shots not in SHOTS:
+            continue
+        reflected = x - emission
+        irradiance = np.zeros_like(solved.direct)
+        irradiance[at] = np.divide(reflected, rho, out=np.zeros_like(rho), where=rho > 0)
+        shown.update(replace(solved, direct=np.zeros_like(solved.direct), indirect=irradiance))
+        images.append(picture(shown, loaded, 64, "none").colour)
+        light = float((area @ reflected).sum() / (area @ whole).sum())
+        error = eq.norm(reflected - whole) / eq.norm(whole)
+        shot = "shot" if shots == 1 else "shots"
+        names.append(
+            f"{shots:,} {shot}\n{100 * light:.0f} % of the light\nerror {100 * error:.2g} %"
+        )
+        print(names[-1].replace("\n", ", "))
+        if len(images) == len(SHOTS):
+            break
     strip(images, 1.2 * auto_exposure(images[-1]), names, OUT / "radiosity_growing.jpg")
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
@@ -23,7 +24,7 @@ from lambent.frame.tonemap import to_uint8
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "pictures"
-PAPER, GAP = (250, 249, 246), 4
+PAPER, INK, GAP, LETTERS = (250, 249, 246), (40, 40, 40), 4, 18
 #: Scene -> width and height.
 SCENES = {
     "cornell-box": (108, 108),
@@ -51,17 +52,36 @@ def cell(frame: Frame, name: str) -> Any:
     return to_uint8(image, exposure)
 
 
-def sheet(rows: list[list[Any]], path: Path, quality: int = 70) -> None:
-    """Pictures of one height a row, written as a JPEG."""
-    width = max(sum(c.shape[1] + GAP for c in row) for row in rows) - GAP
-    height = sum(row[0].shape[0] + GAP for row in rows) - GAP
+def sheet(
+    rows: list[list[Any]],
+    path: Path,
+    quality: int = 70,
+    columns: Sequence[str] = (),
+    names: Sequence[str] = (),
+) -> None:
+    """Pictures of one height a row as a JPEG, with ``columns`` above and ``names`` at the left.
+
+    With columns, all are as wide as the widest picture, and the others stand in their middle.
+    """
+    font = ImageFont.load_default(LETTERS)
+    widest = max(c.shape[1] for row in rows for c in row)
+    left = max((int(font.getlength(name)) + 12 for name in names), default=0)
+    top = LETTERS + 10 if columns else 0
+    across = [[widest if columns else c.shape[1] for c in row] for row in rows]
+    width = left + max(sum(row) + GAP * (len(row) - 1) for row in across)
+    height = top + sum(row[0].shape[0] + GAP for row in rows) - GAP
     made = Image.new("RGB", (width, height), PAPER)
-    y = 0
-    for row in rows:
-        x = 0
-        for picture in row:
-            made.paste(Image.fromarray(picture), (x, y))
-            x += picture.shape[1] + GAP
+    pen = ImageDraw.Draw(made)
+    for k, name in enumerate(columns):
+        pen.text((left + k * (widest + GAP) + widest // 2, 3), name, INK, font, "ma")
+    y = top
+    for k, row in enumerate(rows):
+        if names:
+            pen.text((0, y + row[0].shape[0] // 2), names[k], INK, font, "lm")
+        x = left
+        for picture, wide in zip(row, across[k], strict=True):
+            made.paste(Image.fromarray(picture), (x + (wide - picture.shape[1]) // 2, y))
+            x += wide + GAP
         y += row[0].shape[0] + GAP
     made.save(path, quality=quality, optimize=True)
     print(path, path.stat().st_size // 1024, "KiB", flush=True)
@@ -74,7 +94,7 @@ def layers(folder: Path, spp: int) -> None:
     for name, size in SCENES.items():
         frame = lambent.render(folder / name / "scene.xml", spp=spp, size=size)
         rows.append([cell(frame, column) for column in COLUMNS])
-    sheet(rows, OUT / "render_layers.jpg")
+    sheet(rows, OUT / "render_layers.jpg", columns=COLUMNS, names=tuple(SCENES))
 
 
 def motion() -> None:
@@ -89,7 +109,7 @@ def motion() -> None:
     from lambent.render.animation import Stage, disoccluded
     from lambent.render.sampling import FrameSampler
 
-    scene = scenes.moving(mi, 200)
+    scene = scenes.moving(mi, 240)
     # Five times the test's speed, so that one sees it.
     stage = Stage(mi, scene, scene.sensors()[0], lambda f: animation(5 * f))
     frames = []
@@ -100,7 +120,9 @@ def motion() -> None:
     warped, _ = warp(before["albedo"], now[Role.MOTION])
     hidden = disoccluded(now, before).astype(np.float32)[:, :, None]
     row = [before["albedo"], warped, now["albedo"], np.repeat(hidden, 3, axis=2)]
-    sheet([[to_uint8(picture, 1.0) for picture in row]], OUT / "motion.jpg", 80)
+    columns = ("frame 1", "frame 1, warped to frame 2", "frame 2", "hidden in frame 1")
+    pictures = [to_uint8(picture, 1.0) for picture in row]
+    sheet([pictures], OUT / "motion.jpg", 80, columns)
 
 
 def procedural(count: int = 40, spp: int = 48) -> None:

@@ -99,7 +99,7 @@ def read_archive(path: str | os.PathLike[str], kind: str) -> Archive:
         if begins_as(path, "zip"):
             reason = str(error) or type(error).__name__
             raise DamagedFileError(f"is damaged: {reason}", file=path, remedy=remedy) from None
-        raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy) from None
+        raise FileError(f"is not a Lambent {what}", file=path, remedy=remedy) from None
     except OSError as error:
         raise FileError(
             f"cannot be read: {error.strerror or error}", file=path, remedy="check its permissions"
@@ -107,7 +107,7 @@ def read_archive(path: str | os.PathLike[str], kind: str) -> Archive:
     for name, content in data.items():
         if hashlib.sha256(content).hexdigest() != card["sha256"][name]:
             raise DamagedFileError(
-                f"is damaged: {name} is not what its checksum says", file=path, remedy=remedy
+                f"is damaged: {name} does not match its checksum", file=path, remedy=remedy
             )
     return Archive(types.MappingProxyType(card), types.MappingProxyType(data), path)
 
@@ -191,7 +191,7 @@ def _check_regular(path: Path, what: str) -> None:
     mode = path.stat().st_mode
     if not stat.S_ISREG(mode):
         words = "is a folder" if stat.S_ISDIR(mode) else "is a pipe or a device"
-        raise FileError(f"{words}, no {what} of Lambent", file=path, remedy="name a .lambent file")
+        raise FileError(f"{words}, not a Lambent {what}", file=path, remedy="name a .lambent file")
 
 
 def _checked_directory(
@@ -200,10 +200,10 @@ def _checked_directory(
     """The members by name, from the archive's directory alone."""
     infos = {info.filename: info for info in archive.infolist()}
     if CARD not in infos:
-        raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy)
+        raise FileError(f"is not a Lambent {what}", file=path, remedy=remedy)
     wrong = ""
     if len(infos) != len(archive.infolist()):
-        wrong = "two members have one name"
+        wrong = "two members have the same name"
     elif len(infos) > _MOST_MEMBERS:
         wrong = f"it has {len(infos)} members"
     for name, info in infos.items():
@@ -235,11 +235,11 @@ def _card(
     what, remedy = KINDS[kind]
     card = parse_json(archive.read(infos[CARD]))
     if not isinstance(card, dict):
-        raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy)
+        raise FileError(f"is not a Lambent {what}", file=path, remedy=remedy)
     here = card.get("kind", _kind_of_old(card))
     if here != kind:
         if not isinstance(here, str) or here not in KINDS:
-            raise FileError(f"is no {what} of Lambent", file=path, remedy=remedy)
+            raise FileError(f"is not a Lambent {what}", file=path, remedy=remedy)
         if here in _TAKEN_BY:
             remedy = f"a {KINDS[here][0]} is for: {_TAKEN_BY[here].format(path)}"
         raise FileError(f"is a {KINDS[here][0]}, not a {what}", file=path, remedy=remedy)
@@ -274,7 +274,7 @@ def _array(archive: Archive, name: str) -> NDArray[Any]:
     start = 10 + int.from_bytes(content[8:10], "little")
     header = _HEADER.fullmatch(content[10:start]) if content[:8] == b"\x93NUMPY\x01\x00" else None
     if header is None:
-        raise _damaged(archive, f"{name}.npy has no sound header")
+        raise _damaged(archive, f"{name}.npy has no valid header")
     dtype = np.dtype(header[1].decode())
     shape = tuple(int(n) for n in header[2].replace(b",", b" ").split())
     # counted before anything is made: a header may name any size

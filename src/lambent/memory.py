@@ -68,12 +68,12 @@ def parse_size(text: str | int) -> int:
     size = text if isinstance(text, int) else bytes_of(text) or 0
     if isinstance(text, str) and text.strip().isdigit() and 0 < size < _LEAST:
         raise OptionError(
-            f"'{text}' without a unit is {size} bytes of memory, in which nothing can be done",
+            f"'{text}' without a unit is {size} bytes of memory, which is too little to work in",
             remedy=f"write it with a unit: {text.strip()}G, or {text.strip()}M",
         )
     if size <= 0:
         raise OptionError(
-            f"'{text}' is no size of memory", remedy="write it like 4G, 512M or 1.5GiB"
+            f"'{text}' is not an amount of memory", remedy="write it like 4G, 512M or 1.5GiB"
         )
     return size
 

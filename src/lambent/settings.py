@@ -63,9 +63,9 @@ def read_json(path: Path, what: str, remedy: str) -> dict[str, Any]:
     try:
         found = parse_json(read_text(path, what, remedy))
     except ValueError as error:
-        raise FileError(f"is no JSON: {error}", file=path, remedy=remedy) from None
+        raise FileError(f"is not valid JSON: {error}", file=path, remedy=remedy) from None
     if not isinstance(found, dict):
-        raise FileError(f"is no {what}", file=path, remedy=remedy)
+        raise FileError(f"is not a {what}", file=path, remedy=remedy)
     return found
 
 
@@ -116,7 +116,9 @@ def read_toml(path: Path, what: str = "recipe") -> dict[str, Any]:
     except (ValueError, RecursionError) as error:  # TOML's own error, or a number of endless digits
         reason = "it is nested too deeply" if isinstance(error, RecursionError) else error
         raise DamagedFileError(
-            f"is no TOML: {reason}", file=path, remedy="one 'key = value' a line, texts in quotes"
+            f"is not valid TOML: {reason}",
+            file=path,
+            remedy="one 'key = value' a line, texts in quotes",
         ) from None
     assert isinstance(found, dict)
     return found

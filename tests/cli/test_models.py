@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
+from lambent.archive import write_archive
 from lambent.cli import main
+from lambent.denoise.model_file import shipped
+from lambent.errors import FileError
 from lambent.filters.denoiser import DENOISERS, parameters
 
 
@@ -14,7 +18,8 @@ def test_every_model_is_listed_with_its_paper(capsys):
     assert main(["models", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [card["name"] for card in found["models"]] == list(DENOISERS)
-    assert all(card["paper"] and card["title"] and card["needs"] for card in found["models"])
+    assert all(card["title"] and card["needs"] for card in found["models"])
+    assert all(card["paper"] or card["group"] == "work" for card in found["models"])
     assert found["default"] in DENOISERS
 
 
@@ -64,3 +69,36 @@ def test_json_of_one_model_has_types(capsys, name):
     assert main(["models", name, "--json"]) == 0
     card = json.loads(capsys.readouterr().out)
     assert {p["name"] for p in card["parameters"]} == set(parameters(name))
+
+
+@pytest.mark.parametrize("name", ["lambent-fast", "kpcn", "dncnn"])
+def test_a_model_file_is_described_as_a_shipped_one(name, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "100")
+    shutil.copy(shipped()[name], "mine.lambent")
+    assert main(["models", name, "--json"]) == 0
+    own = json.loads(capsys.readouterr().out)
+    assert main(["models", "mine.lambent", "--json"]) == 0
+    mine = json.loads(capsys.readouterr().out)
+    assert mine["training"] == own["training"]
+    assert mine["needs"] == own["needs"]
+    assert "weights" not in {p["name"] for p in mine["parameters"]}
+    assert main(["models", "mine.lambent"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("mine.lambent: ")
+    assert main(["models", name]) == 0
+    for line in capsys.readouterr().out.splitlines():
+        if line.startswith(("  data", "  trained", "  score")):
+            assert line in lines
+    assert lines[-1] == "Use it: lambent denoise noisy.exr --model mine.lambent"
+
+
+def test_a_file_that_is_no_model_is_refused_with_its_kind(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_archive("room.lambent", "solution", {"method": "radiosity"}, {})
+    assert main(["models", "room.lambent"]) == FileError.exit_code
+    text = " ".join(capsys.readouterr().err.split())
+    assert "is a solution, not a model" in text
+    assert "lambent view room.lambent" in text
+    assert main(["models", "none.lambent"]) == FileError.exit_code
+    assert "no such model" in capsys.readouterr().err

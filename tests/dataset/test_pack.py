@@ -159,5 +159,5 @@ def test_damage_is_told(tmp_path):
     from lambent.frame.files import write
 
     write(tmp_path / "plain.exr", plain)
-    with pytest.raises(DamagedFileError, match="no item"):
+    with pytest.raises(DamagedFileError, match="not an item"):
         unpacked(tmp_path / "plain.exr")

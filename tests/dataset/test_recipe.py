@@ -40,8 +40,8 @@ def test_an_unknown_key_is_answered_with_the_nearest(tmp_path):
         ("vary = 1", "true or false"),
         ("uniform = 1.5", "out of range"),
         ("spp = [64, 4]", "upside down"),
-        ("crop = 1000", "no crop"),
-        ("name = 'a/b'", "no name"),
+        ("crop = 1000", "cannot hold a crop"),
+        ("name = 'a/b'", "cannot be the name"),
     ],
 )
 def test_values_that_make_no_sense(tmp_path, line, word):
@@ -56,7 +56,7 @@ def test_a_file_that_is_no_recipe(tmp_path):
     with pytest.raises(FileError, match="no such recipe"):
         load_recipe(tmp_path / "r.toml")
     (tmp_path / "r.toml").write_text("name = \n")
-    with pytest.raises(FileError, match="no TOML"):
+    with pytest.raises(FileError, match="not valid TOML"):
         load_recipe(tmp_path / "r.toml")
     (tmp_path / "r.toml").write_text('name = "x"\n')
     with pytest.raises(OptionError, match="no 'seed'"):

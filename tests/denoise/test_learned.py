@@ -211,18 +211,18 @@ def test_a_damaged_model_is_named(tmp_path):
     other = rewritten(
         model_file.find_model("lambent"), tmp_path / "other.lambent", network_bin=b"\0" * 1000
     )
-    with pytest.raises(DamagedFileError, match=r"network\.bin is not what its checksum says"):
+    with pytest.raises(DamagedFileError, match=r"network\.bin does not match its checksum"):
         model_file.read_model(other)
 
 
 def test_a_foreign_file_is_no_model(tmp_path):
     path = tmp_path / "text.lambent"
     path.write_text("hello")
-    with pytest.raises(FileError, match="is no model of Lambent"):
+    with pytest.raises(FileError, match="is not a Lambent model"):
         model_file.read_model(path)
     with zipfile.ZipFile(tmp_path / "zip.lambent", "w") as archive:
         archive.writestr("a.txt", "b")
-    with pytest.raises(FileError, match="is no model of Lambent"):
+    with pytest.raises(FileError, match="is not a Lambent model"):
         model_file.read_model(tmp_path / "zip.lambent")
     with pytest.raises(FileError, match="no such model"):
         model_file.read_model(tmp_path / "none.lambent")

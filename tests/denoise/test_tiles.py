@@ -99,7 +99,7 @@ def test_sizes_are_read(text, size):
 
 @pytest.mark.parametrize("text", ["foo", "", "-1G", "0", "4X", "G"])
 def test_sizes_that_make_no_sense_are_refused(text):
-    with pytest.raises(OptionError, match="no size of memory"):
+    with pytest.raises(OptionError, match="not an amount of memory"):
         parse_size(text)
 
 

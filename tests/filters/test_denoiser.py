@@ -41,7 +41,7 @@ def test_numbers_that_mean_nothing_are_refused(name: str, value: object) -> None
 
 
 def test_an_array_of_integers_is_no_radiance() -> None:
-    with pytest.raises(OptionError, match="uint8 is no linear radiance"):
+    with pytest.raises(OptionError, match="uint8 cannot be linear radiance"):
         lambent.denoise(np.zeros((4, 4, 3), np.uint8), model="box")
 
 

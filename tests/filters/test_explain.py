@@ -5,9 +5,10 @@ import io
 import numpy as np
 import pytest
 
-from lambent.errors import OptionError, OutputError
+from lambent.errors import FileError, OptionError, OutputError
 from lambent.filters.denoiser import create
 from lambent.filters.explain import CLASSICAL, classical_for, explain, heat, side_by_side
+from lambent.frame.files import read, write
 from lambent.frame.frame import Frame
 
 MODELS = (
@@ -66,6 +67,18 @@ def test_numbers_of_a_box():
     assert explain(f, "box", 30, 20).bias_from == "denoised"
 
 
+def test_a_file_is_explained_as_its_frame(tmp_path):
+    noisy, clean = tmp_path / "noisy.exr", tmp_path / "clean.exr"
+    write(noisy, frame())
+    write(clean, frame(variance=True))
+    by_path = explain(noisy, "box", 30, 20, reference=str(clean))
+    by_frame = explain(read(noisy), "box", 30, 20, reference=read(clean))
+    assert by_path.as_dict() == by_frame.as_dict()
+    np.testing.assert_array_equal(by_path.weights, by_frame.weights)
+    with pytest.raises(FileError, match="no such file"):
+        explain(tmp_path / "none.exr", "box", 30, 20)
+
+
 def test_the_picture_and_the_numbers_can_be_saved(tmp_path):
     from PIL import Image
 
@@ -112,7 +125,7 @@ def test_negative_weights_are_blue():
 def test_what_cannot_be_explained():
     with pytest.raises(OptionError, match="60x44"):
         explain(frame(), "box", 60, 0)
-    with pytest.raises(OptionError, match="no weighted mean"):
+    with pytest.raises(OptionError, match="not a weighted mean"):
         explain(frame(), "oidn", 0, 0)
 
 

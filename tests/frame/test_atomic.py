@@ -99,7 +99,7 @@ def test_target_is_checked_early(tmp_path: Path) -> None:
         check_target(tmp_path)
     with pytest.raises(OutputError, match="exists already"):
         check_target(tmp_path / "there.bin")
-    with pytest.raises(OutputError, match="no folder"):
+    with pytest.raises(OutputError, match="not a folder"):
         check_target(tmp_path / "there.bin" / "a.bin")
     assert check_target(tmp_path / "there.bin", overwrite=True).name == "there.bin"
 

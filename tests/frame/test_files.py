@@ -135,7 +135,7 @@ def test_what_is_no_layer_of_the_file_is_noted(tmp_path: Path) -> None:
     frame = read(sample(tmp_path))
     mine = Layer(Role.NORMAL, np.zeros((37, 29, 3), np.float32), name="mine")
     notes = write_noted(tmp_path / "out.exr", frame.with_layer(mine)).notes
-    assert any("'mine' is no layer of the file" in note for note in notes)
+    assert any("'mine' is not a layer of the file" in note for note in notes)
     wrong = frame.crop(0, 10, 0, 10)
     with pytest.raises(LayerError, match="origin=None"):
         write(tmp_path / "out2.exr", wrong)

@@ -190,7 +190,7 @@ def test_guides() -> None:
     assert "noisy guides" in names(guided(scene(), albedo=noisy))
     n = rng.normal(size=(*SIZE, 3)).astype(np.float32)
     unit = n / np.linalg.norm(n, axis=2, keepdims=True)
-    assert "normals are no unit vectors" in names(guided(scene(), normal=2 * unit))
+    assert "normals are not unit vectors" in names(guided(scene(), normal=2 * unit))
     assert "encoded normals" in names(guided(scene(), normal=0.5 + 0.5 * unit))
 
 

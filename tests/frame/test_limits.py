@@ -33,7 +33,7 @@ def test_the_variable_replaces_the_limits(monkeypatch, text, size):
 @pytest.mark.parametrize("text", ["much", "-1", "4X", "1e9"])
 def test_the_variable_must_be_a_size(monkeypatch, text):
     monkeypatch.setenv(limits.VARIABLE, text)
-    with pytest.raises(OptionError, match="is no size"):
+    with pytest.raises(OptionError, match="is not a size"):
         limits.allowed()
 
 

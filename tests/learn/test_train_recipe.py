@@ -46,7 +46,7 @@ def test_a_name_is_needed(tmp_path):
 def test_missing_and_broken_files(tmp_path):
     with pytest.raises(FileError, match="no such recipe"):
         load_train_recipe(tmp_path / "none.toml")
-    with pytest.raises(FileError, match="no TOML"):
+    with pytest.raises(FileError, match="not valid TOML"):
         load_train_recipe(written(tmp_path, "name = "))
 
 

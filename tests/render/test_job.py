@@ -265,7 +265,7 @@ def test_missing_scenes_and_cameras_are_told(scene, tmp_path):
         lambent.render(tmp_path)
     binary = tmp_path / "x.xml"
     binary.write_bytes(b"\x00\x01\x02")
-    with pytest.raises(FileError, match="no Mitsuba scene"):
+    with pytest.raises(FileError, match="not a Mitsuba scene"):
         lambent.render(binary)
     with pytest.raises(UnknownNameError, match="'top'"):
         lambent.render(scene, camera="top")

@@ -123,8 +123,8 @@ def test_counts_on_the_command_line_and_time(recipe, tmp_path, capsys):
     ("args", "code", "words"),
     [
         (["make", "none.toml"], 2, "no such recipe"),
-        (["info", "nowhere"], 2, "no data set"),
-        (["verify", "nowhere"], 2, "no data set"),
+        (["info", "nowhere"], 2, "not a data set"),
+        (["verify", "nowhere"], 2, "not a data set"),
         (["make", "{recipe}", "--time", "soon"], 4, "45s, 90m or 2h"),
         (["make", "{recipe}", "--count", "0", "--clips", "0"], 4, "no items"),
         (["make", "{recipe}", "--processes", "-1"], 4, "makes no sense"),

@@ -1,6 +1,7 @@
 """List the denoisers: those for work, those from papers, and the floors of comparisons.
 
-With NAME, describe that one: what it needs, can use and costs, and its parameters for --set.
+With NAME, describe that one: what it needs, can use and costs, and its parameters for --set; or
+with a model file, such as lambent train makes: what it was trained on, and its score.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ EPILOG = "Other packages can bring more models: see the documentation on plug-in
 def models(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[NAME]", help="A model.", autocompletion=complete_models),
+        typer.Argument(
+            metavar="[NAME]",
+            help="A model, or a model file: mine.lambent.",
+            autocompletion=complete_models,
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -55,23 +60,33 @@ def models(
 
 
 def _card(name: str) -> dict[str, Any]:
-    from lambent.filters.denoiser import DENOISERS, parameters
+    """What is known of a model, or of the model in a file."""
+    from lambent.denoise.model_file import as_denoiser
+    from lambent.filters.denoiser import DENOISERS, create, parameters
 
-    about = DENOISERS[name].about
+    model, params = as_denoiser(name, {})
+    about = DENOISERS[model].about
+    training = dict(create(model, **params).card())
+    cost, when = about.cost, about.when
+    if params:  # the denoiser's words are of the weights that it comes with
+        when = ""
+        if "macs" in training:
+            cost = f"{training['macs'] / 1000:.0f} kMAC a pixel"
     return {
         "name": name,
         "title": about.title,
         "needs": list(about.needs),
         "can_use": list(about.uses),
-        "cost": about.cost,
+        "cost": cost,
         "paper": about.paper,
-        "when": about.when,
+        "when": when,
         "group": about.group,
         "linear": about.linear,
-        "training": dict(DENOISERS[name]().card()),
+        "training": training,
         "parameters": [
             {"name": key, "type": _type_name(kind), "default": _default(default)}
-            for key, (kind, default) in parameters(name).items()
+            for key, (kind, default) in parameters(model).items()
+            if key not in params
         ],
     }
 

@@ -135,7 +135,7 @@ def settle(
         if found is not None and found not in lines:
             line_or_none = _adopted(folder, file, found, recipe)
             if line_or_none is None:
-                notes.append(f"{file} is no sound item of this set: made again")
+                notes.append(f"{file} is not a sound item of this set: made again")
             else:
                 sound[found] = line_or_none
     return sound, notes

@@ -65,7 +65,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.exists():
         raise FileError(
-            f"is no data set: it has no {MANIFEST}",
+            f"is not a data set: it has no {MANIFEST}",
             file=folder,
             remedy="make one: lambent dataset make RECIPE -o DIR",
         )

@@ -338,7 +338,7 @@ class _Tripod:
         params = mi.traverse(scene.sensors()[0])
         self.home = np.array(params["to_world"].matrix, float).reshape(4, 4)
         if "x_fov" not in params:
-            raise UnfitSceneError("its sensor is no perspective camera")
+            raise UnfitSceneError("its sensor is not a perspective camera")
         self.home_fov = float(np.array(params["x_fov"]).ravel()[0])
         self.seed = 0
         self.reach = self._reach(mi, scene)

@@ -142,7 +142,7 @@ def _about(exr: ExrFile) -> dict[str, Any]:
             return found
     except (KeyError, TypeError, ValueError):
         pass
-    raise DamagedFileError("is no item of a data set", file=exr.path, remedy=REMAKE)
+    raise DamagedFileError("is not an item of a data set", file=exr.path, remedy=REMAKE)
 
 
 # -------------------------------------------------------------------- packing

@@ -1,7 +1,7 @@
 """A contact sheet: what a data set holds, or what a recipe will give.
 
-Of a set: crops and clips spread over it, each as noisy picture, target, albedo and normal. Of a
-recipe: whole views of its first scenes, rendered quickly.
+Of a set: crops and clips spread over it, each as noisy picture, target, albedo and normal, with a
+name on each picture. Of a recipe: whole views of its first scenes, rendered quickly.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ from lambent.phases import Phases
 from lambent.progress import Progress, silent
 
 Picture = NDArray[np.uint8]
-_GAP, _PAPER, _INK, _LINE = 4, 24, 200, 12
+_GAP, _PAPER, _INK, _LINE, _LETTERS = 4, 24, 215, 20, 15
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Pictures side by side ``(H, W, 3)`` with a line below."""
+    """Pictures side by side ``(H, W, 3)``, a name above each (or none), and a line below all."""
 
     pictures: tuple[Picture, ...]
     text: str
+    names: tuple[str, ...] = ()
 
 
 def preview_set(
@@ -104,20 +105,24 @@ def _spread(dataset: Dataset, count: int) -> list[int]:
 def _item_tile(dataset: Dataset, i: int) -> Tile:
     item, line = dataset.item(i), dataset.line(i)
     exposure = auto_exposure(item.target.colour)
-    noisy = item.levels[0]
+    noisy, spp, target = item.levels[0], line["spp"], f"target, {line['target_spp'][0]} spp"
     if item.is_clip:
         shown = [s.levels[0].colour for s in item.stills[:: max(1, len(item.stills) - 1)]]
         last = item.stills[-1]
         pictures = [to_uint8(p, exposure) for p in (*shown, last.target.colour)]
         pictures.append(_motion(last.levels[0]))
+        names = [f"{which}, {spp[0]} spp" for which in ("first", "last")[-len(shown) :]]
+        names += [target, "motion"]
     else:
         pictures = [to_uint8(noisy.colour, exposure), to_uint8(item.target.colour, exposure)]
         pictures += [_albedo(noisy), _normal(noisy)]
-    kind = line.get("kind") or line.get("scene") or ""
-    spp = "+".join(map(str, line["spp"]))
-    return Tile(
-        tuple(pictures), f"{line['what']} {line['index']} {kind} {spp}/{line['target_spp'][0]}"
-    )
+        names = [f"{spp[0]} spp", target, "albedo", "normal"]
+    text = f"{line['what']} {line['index']}"
+    if kind := line.get("kind") or line.get("scene"):
+        text += f", {kind}"
+    if len(spp) > 1:
+        text += f"; levels of {', '.join(map(str, spp))} spp"
+    return Tile(tuple(pictures), text, tuple(names))
 
 
 def _albedo(frame: Frame) -> Picture:
@@ -151,22 +156,33 @@ def _blank(frame: Frame) -> Picture:
 
 def _write(output: Path, tiles: Sequence[Tile], columns: int, overwrite: bool) -> Path:
     """Lay the tiles out and write a PNG, JPEG, … by the name's ending."""
-    from PIL import Image, ImageDraw
+    from PIL import Image, ImageDraw, ImageFont
 
+    font = ImageFont.load_default(_LETTERS)
+    head = _LINE if any(t.names for t in tiles) else 0
     height = max(p.shape[0] for t in tiles for p in t.pictures)
     width = max(sum(p.shape[1] for p in t.pictures) for t in tiles)
     columns = min(columns, len(tiles))
     rows = -(-len(tiles) // columns)
-    across, down = width + _GAP, height + _LINE + _GAP
-    sheet = Image.new("RGB", (columns * across + _GAP, rows * down + _GAP), (_PAPER,) * 3)
+    across, down = width + 2 * _GAP, head + height + _LINE + 2 * _GAP
+    sheet = Image.new("RGB", (columns * across, rows * down), (_PAPER,) * 3)
     pen = ImageDraw.Draw(sheet)
+
+    def write(x: int, y: int, text: str, room: int) -> None:
+        text = " ".join(text.split())
+        while pen.textlength(text, font) > room:
+            text = text[:-1]
+        pen.text((x, y), text, (_INK,) * 3, font)
+
     for n, tile in enumerate(tiles):
-        x, y = _GAP + n % columns * across, _GAP + n // columns * down
-        for picture in tile.pictures:
-            sheet.paste(Image.fromarray(picture), (x, y))
+        left, top = _GAP + n % columns * across, _GAP + n // columns * down
+        x = left
+        for k, picture in enumerate(tile.pictures):
+            sheet.paste(Image.fromarray(picture), (x, top + head))
+            if tile.names:
+                write(x + 2, top, tile.names[k], picture.shape[1] - 4)
             x += picture.shape[1]
-        left = _GAP + n % columns * across
-        pen.text((left, y + height), tile.text[: width // 6], fill=(_INK,) * 3)
+        write(left, top + head + height, tile.text, width)
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}.get(output.suffix.lower(), "PNG")
     buffer = io.BytesIO()
     sheet.save(buffer, kind, **({"quality": 88} if kind == "JPEG" else {}))

@@ -146,7 +146,7 @@ def _find(recipe: Recipe, source: Source, job: Job, phases: Phases) -> _Set:
             continue
         return _Set(scene, attempt, crops, tuple(rejected))
     raise LambentError(
-        f"of {ATTEMPTS} scenes for {job.what} {job.first} none is fit: {'; '.join(rejected)}",
+        f"none of {ATTEMPTS} scenes for {job.what} {job.first} is usable: {'; '.join(rejected)}",
         remedy="look at them: lambent dataset preview RECIPE",
     )
 

@@ -84,12 +84,12 @@ class Recipe:
             raise OptionError(f"spp = {list(self.spp)} is upside down", remedy="lowest first")
         if min(self.view) < self.crop:
             raise OptionError(
-                f"a view of {self.view[0]}x{self.view[1]} has no crop of {self.crop} pixels",
+                f"a view of {self.view[0]}x{self.view[1]} cannot hold a crop of {self.crop} pixels",
                 remedy="make the view larger or the crop smaller",
             )
         if not self.name or any(c in self.name for c in "/\\\0") or self.name.startswith("."):
             raise OptionError(
-                f"'{self.name}' is no name for a data set", remedy="take a plain word"
+                f"'{self.name}' cannot be the name of a data set", remedy="take a plain word"
             )
         refuse_seeds(self.seeds)
         for scene in self.scenes:

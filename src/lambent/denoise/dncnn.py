@@ -73,7 +73,7 @@ class DnCNN(Denoiser):
         if is_display(frame):
             return ()
         return (
-            "dncnn knows photographs: radiance was tone-mapped for it, and what is brighter than "
+            "dncnn is for photographs: radiance was tone-mapped for it, and what is brighter than "
             "white was left as it is",
         )
 
@@ -117,7 +117,8 @@ class DnCNN(Denoiser):
         return ((clean + beyond) / np.float32(exposure)).astype(np.float32)
 
     def _run(self, planes: FloatImage) -> FloatImage:
-        with runtime.network(self.model(), "f32", self.threads) as network:
+        shapes = [(int(self.card()["channels"]), 1)]
+        with runtime.network(self.model(), shapes, "f32", self.threads) as network:
             ready = np.ascontiguousarray(planes[None], np.float32)
             return network.outputs(ready)[0][0].copy()
 

@@ -48,39 +48,21 @@ _OPERATIONS = frozenset(
 _EDGE, _MOST_CHANNELS = 64, 4096
 
 
-def check_graph(model: ModelFile, graph: Any, pyramid: Sequence[tuple[int, int]]) -> None:
+def check_graph(model: ModelFile, graph: Any, outputs: Sequence[tuple[int, int]]) -> None:
     """Raise `DamagedFileError` for an OpenVINO graph that is none of ours.
 
-    ``pyramid``: the outputs of a network that reads signals: channels, and the part of the
-    inputs' size. The models that come with Lambent are not looked at.
+    ``outputs``: what the denoiser reads: channels, and the part of the inputs' size. The models
+    that come with Lambent are not looked at.
     """
     if model.path in shipped().values():
         return
-    outputs = list(pyramid) if _reads(model) == "signals" else _outputs(model)
     wrong = _operations(graph) or _shapes(graph, outputs)
     if wrong:
         raise DamagedFileError(
-            f"holds a network that is none of Lambent's: {wrong}",
+            f"holds a network that is not one of Lambent's: {wrong}",
             file=model.path,
-            remedy="take models from those whom you trust, or train one: lambent train",
+            remedy="use models from people you trust, or train one: lambent train",
         )
-
-
-def _reads(model: ModelFile) -> str:
-    return str(model.card.get("reads", "signals"))
-
-
-def _outputs(model: ModelFile) -> list[tuple[int, int]]:
-    """The outputs of a paper's network, by its card (its values are in their ranges)."""
-    if _reads(model) == "pixels":
-        return [(model.card["channels"], 1)]
-    options = model.card["options"]
-    taps = options.get("kernel", 1) ** 2
-    scales = options.get("scales", 1)
-    task = model.card.get("recipe", {}).get("task")
-    if task == "modular":  # kernels, and beside all but the coarsest a blend
-        return [(taps + (n < scales - 1), 2**n) for n in range(scales)]
-    return [(3 if task == "dpcn" else taps, 1)] * 2
 
 
 def _operations(graph: Any) -> str:
@@ -97,7 +79,7 @@ def _shapes(graph: Any, outputs: Sequence[tuple[int, int]]) -> str:
     for number, port in enumerate(small.inputs):
         shape = port.get_partial_shape()
         if shape.rank.is_dynamic or shape.rank.get_length() != 4 or shape[1].is_dynamic:
-            return f"its input {number} is no picture with channels"
+            return f"its input {number} is not an image with channels"
         sizes[port] = [1, shape[1].get_length(), _EDGE, _EDGE]
     try:
         small.reshape(sizes)

@@ -82,7 +82,7 @@ def read_model(path: str | os.PathLike[str], reads: str | None = None) -> ModelF
     archive = read_archive(path, "model")
     path, card, remedy = archive.path, archive.card, KINDS["model"][1]
     if not {NETWORK, WEIGHTS} <= set(archive.members):
-        raise FileError("is no model of Lambent", file=path, remedy=remedy)
+        raise FileError("is not a Lambent model", file=path, remedy=remedy)
     kind = card.get("reads", "signals")  # models from before there were others do not say
     version = READS.get(kind) if isinstance(kind, str) else None
     if version is None or card.get("inputs") != version:

@@ -44,9 +44,10 @@ _USES = (
 
 
 @dataclass(frozen=True)
-class _Learned(Denoiser):
-    """What the networks of the papers have in common.
+class NetworkDenoiser(Denoiser):
+    """A denoiser that computes with an exported network whose model file reads ``lobes``.
 
+    A subclass says what becomes of the network's `outputs` (``filter_layers``, ``about``).
     ``weights``: another model file, such as `lambent train` makes. ``threads``: of the network.
     """
 
@@ -96,9 +97,9 @@ class _Learned(Denoiser):
             layers.append(Layer(role, piece))
         return np.concatenate(self.filter_layers(frame, layers), axis=2)
 
-    # --------------------------------------------------------------- private
+    # --------------------------------------------------------- for subclasses
 
-    def _signals(self, frame: Frame) -> tuple[Signals, float]:
+    def signals(self, frame: Frame) -> tuple[Signals, float]:
         """The frame's signals with lobes, at a fixed exposure; and that exposure."""
         whole = self._whole or prepare.Whole.of(frame)
         signals = signals_of(frame, whole.depth)
@@ -111,10 +112,21 @@ class _Learned(Denoiser):
         }
         return replace(signals, colour=signals.colour * factor, layers=layers), float(factor)
 
-    def _outputs(self, *planes: FloatImage) -> list[FloatImage]:
-        with runtime.network(self.model(), "f32", self.threads) as network:
+    def shapes(self) -> list[tuple[int, int]]:
+        """Of each output of the network: its channels, and by what it is smaller than the frame.
+
+        Here: the taps of one predicted window. A file whose network has others is refused.
+        """
+        return [(self._option("kernel") ** 2, 1)]
+
+    def outputs(self, *planes: FloatImage) -> list[FloatImage]:
+        """What the network makes of its inputs ``(C, H, W)``: each output ``(C, H, W)``."""
+        with runtime.network(self.model(), self.shapes(), "f32", self.threads) as network:
             ready = [np.ascontiguousarray(p[None], np.float32) for p in planes]
             return [out[0].copy() for out in network.outputs(*ready)]
+
+    def _option(self, name: str) -> int:
+        return int(self.card()["options"].get(name, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +145,7 @@ class _Said:
 
 
 @dataclass(frozen=True)
-class _TwoParts(_Learned):
+class _TwoParts(NetworkDenoiser):
     """KPCN and its twin: diffuse and specular light through networks of their own."""
 
     def remarks(self, frame: Frame) -> tuple[str, ...]:
@@ -141,14 +153,14 @@ class _TwoParts(_Learned):
         if lobes_of(frame):
             return ()
         return (
-            f"{self.about.name} wants diffuse and specular light apart: all light went through "
-            "the diffuse network",
+            f"{self.about.name} works best with separate diffuse and specular light: all light "
+            "went through the diffuse network",
         )
 
     def _said(self, frame: Frame) -> _Said:
-        signals, factor = self._signals(frame)
+        signals, factor = self.signals(frame)
         parts = parts_of(np, signals)
-        predicted = self._outputs(parts.diffuse_planes, parts.specular_planes)
+        predicted = self.outputs(parts.diffuse_planes, parts.specular_planes)
         diffuse = signals.layers.get("diffuse", signals.colour)
         below = np.maximum(diffuse - signals.colour, 0)
         whole = "diffuse" not in signals.layers
@@ -175,6 +187,10 @@ class KPCN(_TwoParts):
         """The beauty from both parts, the other layers each as the part that it is."""
         said = self._said(frame)
         return [self._layer(layer, said) for layer in layers]
+
+    def shapes(self) -> list[tuple[int, int]]:
+        """A window for each part."""
+        return 2 * super().shapes()
 
     def weights_at(self, frame: Frame, x: int, y: int) -> FloatImage:
         """The weights ``(H, W)`` of the chosen part's c̃ at pixel (x, y)."""
@@ -222,7 +238,10 @@ class DPCN(_TwoParts):
         """Whether there is light that the network cannot say."""
         if not has_negative_light(frame.colour):
             return super().remarks(frame)
-        return (*super().remarks(frame), "dpcn gives no negative light: it was left as it is")
+        return (
+            *super().remarks(frame),
+            "dpcn predicts no negative light: it was left as it is",
+        )
 
     def filter_layers(self, frame: Frame, layers: Sequence[Layer]) -> list[FloatImage]:
         """As KPCN. Raises `OptionError` for layers that it does not say: it has no kernels."""
@@ -242,6 +261,10 @@ class DPCN(_TwoParts):
         said = self._said(frame)
         return [self._layer(layer, said) for layer in layers]
 
+    def shapes(self) -> list[tuple[int, int]]:
+        """A colour for each part."""
+        return [(3, 1), (3, 1)]
+
     # --------------------------------------------------------------- private
 
     def _layer(self, layer: Layer, said: _Said) -> FloatImage:
@@ -256,7 +279,7 @@ class DPCN(_TwoParts):
 
 
 @dataclass(frozen=True)
-class Modular(_Learned):
+class Modular(NetworkDenoiser):
     """Modular kernel prediction.
 
     ``preference``: 0 for the least error, towards 1 for rather leaving noise than losing detail.
@@ -310,6 +333,11 @@ class Modular(_Learned):
         albedo = whole.albedo.mean(0)
         return np.asarray(found * albedo[y, x] / albedo, np.float32)
 
+    def shapes(self) -> list[tuple[int, int]]:
+        """Kernels on every scale, and beside all but the coarsest a blend."""
+        ((taps, _),), scales = super().shapes(), self._option("scales")
+        return [(taps + (n < scales - 1), 2**n) for n in range(scales)]
+
     def alignment(self) -> int:
         """The side of a pixel of the coarsest scale."""
         return self._multiple()
@@ -318,13 +346,13 @@ class Modular(_Learned):
 
     def _predicted(self, frame: Frame) -> tuple[Parts, list[FloatImage]]:
         """The frame as one part, and the logits of every scale."""
-        whole = whole_of(np, self._signals(frame)[0])
+        whole = whole_of(np, self.signals(frame)[0])
         preference = np.full((1, frame.height, frame.width), self.preference, np.float32)
         planes = np.concatenate([whole.diffuse_planes, preference])
-        return whole, self._outputs(_continued(planes, self._multiple()))
+        return whole, self.outputs(_continued(planes, self._multiple()))
 
     def _multiple(self) -> int:
-        return int(2 ** (int(self.card()["options"]["scales"]) - 1))
+        return int(2 ** (self._option("scales") - 1))
 
 
 # ------------------------------------------------------------------- private

@@ -131,7 +131,7 @@ class Settings:
         check_device(device)
         if threads is not None and threads < 1:
             raise OptionError(
-                f"{threads} threads cannot work", remedy="give 1 or more, or leave it out for all"
+                f"{threads} threads make no sense", remedy="give 1 or more, or leave it out for all"
             )
         if spp is not None and spp < 1:
             raise OptionError(f"{spp} samples per pixel make no sense", remedy="give 1 or more")
@@ -487,7 +487,7 @@ def _of_numbers(image: np.ndarray[Any, Any], what: str) -> np.ndarray[Any, Any]:
     """The array, unless it holds whole numbers, as pictures of display values do."""
     if image.dtype.kind in "iub":
         raise OptionError(
-            f"an array of {image.dtype} is no {what}",
+            f"an array of {image.dtype} cannot be {what}",
             remedy="for display values: lambent.frame.tonemap.inverse_srgb(array / 255)",
         )
     return image

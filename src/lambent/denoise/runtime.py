@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -179,7 +179,7 @@ class PyramidNetwork(Network):
         return self._logits
 
 
-_networks: dict[tuple[str, str, int | None, int], Network] = {}
+_networks: dict[tuple[Any, ...], Network] = {}
 _networks_lock = threading.Lock()
 
 
@@ -187,29 +187,40 @@ def pyramid_network(
     model: ModelFile, precision: str = "auto", threads: int | None = None, views: int = 1
 ) -> PyramidNetwork:
     """`network` of a model that reads signals and predicts a pyramid's kernels."""
-    found = network(model, precision, threads, views)
+    found = network(model, OUTPUTS, precision, threads, views)
     assert isinstance(found, PyramidNetwork)
     return found
 
 
 def network(
-    model: ModelFile, precision: str = "auto", threads: int | None = None, views: int = 1
+    model: ModelFile,
+    outputs: Sequence[tuple[int, int]],
+    precision: str = "auto",
+    threads: int | None = None,
+    views: int = 1,
 ) -> Network:
     """The network of a model, compiled for this machine.
 
+    ``outputs``: what it has to give: channels, and by what its size is less than the input's.
     ``precision``: of what is not int8: ``"auto"`` (the processor's best), or ``"f32"``.
     ``views``: 2 for `views.two_views`, of a model that predicts a pyramid's kernels. Raises
     `EngineError` without OpenVINO, `DamagedFileError` for a network it does not take.
     """
-    key = (str(model.card["sha256"]), precision, threads, views)
+    key = (str(model.card["sha256"]), tuple(outputs), precision, threads, views)
     claim("OpenVINO")
     with _networks_lock:
         if key not in _networks:
-            _networks[key] = _made(model, precision, threads, views)
+            _networks[key] = _made(model, outputs, precision, threads, views)
         return _networks[key]
 
 
-def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> Network:
+def _made(
+    model: ModelFile,
+    outputs: Sequence[tuple[int, int]],
+    precision: str,
+    threads: int | None,
+    views: int,
+) -> Network:
     """The network of a model."""
     try:
         core = _core()
@@ -224,7 +235,7 @@ def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> 
         options["INFERENCE_NUM_THREADS"] = threads
     try:
         graph = core.read_model(model.network, model.weights)
-        check_graph(model, graph, OUTPUTS)
+        check_graph(model, graph, outputs)
         if not _is_pyramid(model):
             identity = str(sorted(model.card["sha256"].items()))
             return Network(compiled(core, graph, options, identity, openvino().__version__))
@@ -248,7 +259,7 @@ def _made(model: ModelFile, precision: str, threads: int | None, views: int) -> 
 
 def _refused(model: ModelFile, error: RuntimeError) -> DamagedFileError:
     return DamagedFileError(
-        f"OpenVINO does not take this network: {str(error).strip().splitlines()[-1]}",
+        f"OpenVINO rejects this network: {str(error).strip().splitlines()[-1]}",
         file=model.path,
         remedy="install Lambent again, or export the model again",
     )

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from lambent.errors import LayerError, OptionError, OutputError
 from lambent.filters.denoiser import DENOISERS, Denoiser, create
 from lambent.frame.exposure import auto_exposure
+from lambent.frame.files import read
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.tonemap import png_of, to_uint8
@@ -154,31 +155,33 @@ class Explanation:
 
 
 def explain(
-    frame: Frame,
+    frame: Frame | str | Path,
     model: str | Denoiser,
     x: int | None = None,
     y: int | None = None,
     *,
     pixel: tuple[int, int] | None = None,
-    reference: Frame | NDArray[Any] | None = None,
+    reference: Frame | NDArray[Any] | str | Path | None = None,
     **params: Any,
 ) -> Explanation:
-    """The weights that a linear denoiser gives the pixels around a pixel.
+    """The weights that a linear denoiser gives the pixels around a pixel of a frame or a file.
 
     ``pixel``: column and row ``(x, y)``, or ``x`` and ``y`` by themselves: of the pixels that there
     are, from 0, 0 at the upper left of the data window, as in arrays; in a crop these are not the
     coordinates of the whole picture. ``model``: a name (with ``params``) or a denoiser.
-    ``reference``: the converged image ``(H, W, 3)`` of the same pixels, if there is one, for the
-    bias. Raises `OptionError` for a pixel outside the frame, or a model whose result is no weighted
-    mean (OIDN), `LayerError` where the frame lacks a layer or the reference has other pixels.
+    ``reference``: the converged image ``(H, W, 3)`` of the same pixels or its file, if there is
+    one, for the bias. Raises `OptionError` for a pixel outside the frame, or a model whose result
+    is no weighted mean (OIDN), `LayerError` where the frame lacks a layer or the reference has
+    other pixels, and what `lambent.read` raises.
     """
     x, y = _one_pixel(x, y, pixel)
     denoiser = create(model, **params) if isinstance(model, str) else model
+    frame = read(frame) if isinstance(frame, (str, Path)) else frame
     name = denoiser.about.name
     if not denoiser.about.linear and getattr(denoiser, "weights_at", None) is None:
         linear = [n for n in DENOISERS if DENOISERS[n].about.linear]
         raise OptionError(
-            f"the result of '{name}' is no weighted mean of pixels: it has no weights to show",
+            f"the result of '{name}' is not a weighted mean of pixels: it has no weights to show",
             remedy=f"take one of {', '.join(linear)}",
         )
     if not (0 <= x < frame.width and 0 <= y < frame.height):
@@ -315,9 +318,11 @@ def _one_pixel(x: Any, y: Any, pixel: Any) -> tuple[int, int]:
     )
 
 
-def _reference(reference: Frame | NDArray[Any], frame: Frame) -> FloatImage:
+def _reference(reference: Frame | NDArray[Any] | str | Path, frame: Frame) -> FloatImage:
     """The colour of the reference ``(H, W, 3)``. Raises `LayerError` for other pixels."""
     path, windows = None, None
+    if isinstance(reference, (str, Path)):
+        reference = read(reference)
     if isinstance(reference, Frame):
         path, windows, reference = reference.path, reference.windows, reference.colour
     image = np.asarray(reference, np.float32)

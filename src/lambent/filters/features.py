@@ -117,7 +117,7 @@ def features(
     for role in chosen:
         if not INFO[role].guide:
             raise OptionError(
-                f"'{role.value}' is no feature",
+                f"'{role.value}' is not a feature",
                 remedy=f"take some of {', '.join(r.value for r in Role if INFO[r].guide)}",
             )
     scales = scales or fit_scales(frame)

@@ -27,7 +27,7 @@ _REMEDIES = {
     errno.EROFS: "the disk is read-only; write elsewhere with -o",
     errno.EIO: "check the disk",
     errno.ENAMETOOLONG: "take a shorter name with -o",
-    errno.ELOOP: "its links lead in a circle: mend them, or write elsewhere with -o",
+    errno.ELOOP: "its links lead in a circle: correct them, or write elsewhere with -o",
 }
 
 
@@ -44,7 +44,7 @@ def check_target(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     try:
         if not stat.S_ISDIR(os.stat(folder).st_mode):
             raise OutputError(
-                f"'{folder}' is no folder", file=path, remedy="write elsewhere with -o"
+                f"'{folder}' is not a folder", file=path, remedy="write elsewhere with -o"
             )
         mode = os.stat(target).st_mode
     except FileNotFoundError:
@@ -55,7 +55,7 @@ def check_target(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
     except OSError as error:
         raise _unwritable(path, error) from error
     except ValueError as error:  # a zero byte in the name
-        raise OutputError(f"is no name of a file ({error})", file=path) from None
+        raise OutputError(f"is not a valid file name ({error})", file=path) from None
     else:
         if stat.S_ISDIR(mode):
             raise OutputError("is a directory", file=path, remedy="name a file in it")

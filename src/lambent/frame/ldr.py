@@ -67,7 +67,7 @@ def read_image(path: str | os.PathLike[str]) -> Picture:
         "pfm": _read_pfm,
     }  # fmt: skip
     if found is None or found[0] not in readers:
-        raise FileError(f"is {found[1] if found else 'no picture'}", file=path)
+        raise FileError(f"is {found[1] if found else 'not a picture'}", file=path)
     pixels, metadata, notes = readers[found[0]](content, path)
     pixels, metadata, turns = _upright(pixels, metadata)
     return _picture(found[0], pixels, metadata, (*notes, *turns), path)
@@ -94,7 +94,7 @@ def _picture(
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
     if pixels.ndim != 3 or not 1 <= pixels.shape[2] <= 4 or 0 in pixels.shape:
-        raise FileError(f"has the shape {pixels.shape}, which is no picture", file=path)
+        raise FileError(f"has the shape {pixels.shape}, which is not that of a picture", file=path)
     floating = pixels.dtype.kind == "f"
     bits = pixels.dtype.itemsize * 8
     colours = 1 if pixels.shape[2] in (1, 2) else 3

@@ -73,7 +73,8 @@ def allowed(stored: int = 0) -> int:
     size = bytes_of(text)
     if size is None:
         raise OptionError(
-            f"{VARIABLE}='{text}' is no size", remedy=f"write a number of bytes, or {VARIABLE}=4G"
+            f"{VARIABLE}='{text}' is not a size",
+            remedy=f"write a number of bytes, or {VARIABLE}=4G",
         )
     return size
 

@@ -23,7 +23,7 @@ _REMEDIES = {
     errno.EACCES: "allow reading it, and entering its folder",
     errno.EPERM: "allow reading it, and entering its folder",
     errno.ENAMETOOLONG: "take a shorter name",
-    errno.ELOOP: "its links lead in a circle: mend them",
+    errno.ELOOP: "its links lead in a circle: correct them",
     errno.ENOTDIR: "a part of the path is a file, not a folder",
     errno.EMFILE: "too many files are open: close some, or raise the limit (ulimit -n)",
     errno.EIO: "check the disk",
@@ -40,7 +40,7 @@ def open_file(path: Path) -> int:
     except OSError as error:
         raise unreadable(path, error) from error
     except ValueError as error:  # a zero byte in the name
-        raise FileError(f"is no name of a file ({error})", file=path) from None
+        raise FileError(f"is not a valid file name ({error})", file=path) from None
     mode = os.fstat(descriptor).st_mode
     if not stat.S_ISREG(mode):
         os.close(descriptor)
@@ -79,7 +79,7 @@ def exists(path: Path) -> bool:
     except OSError as error:
         raise unreadable(path, error) from error
     except ValueError as error:
-        raise FileError(f"is no name of a file ({error})", file=path) from None
+        raise FileError(f"is not a valid file name ({error})", file=path) from None
     return True
 
 

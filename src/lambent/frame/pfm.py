@@ -27,7 +27,7 @@ def read_pfm(content: bytes, path: object = None) -> tuple[NDArray[np.float32], 
     except ValueError:
         scale = 0.0
     if match is None or not (math.isfinite(scale) and scale):
-        raise DamagedFileError("has no sound header", file=path, remedy=_REMEDY)
+        raise DamagedFileError("has no valid header", file=path, remedy=_REMEDY)
     width, height, channels = int(match[2]), int(match[3]), 3 if match[1] == b"PF" else 1
     if not width or not height:
         raise DamagedFileError("has an impossible size", file=path, remedy=_REMEDY)

@@ -119,7 +119,7 @@ def _header(content: bytes, path: object) -> tuple[dict[bytes, bytes], re.Match[
     size_end = content.find(b"\n", end + 2)
     match = _SIZE.match(content[end + 2 : size_end]) if 0 <= end < size_end else None
     if match is None:
-        raise DamagedFileError("has no sound header", file=path, remedy=_REMEDY)
+        raise DamagedFileError("has no valid header", file=path, remedy=_REMEDY)
     found: dict[bytes, bytes] = {}
     for line in content[:end].splitlines()[1:]:
         key, equals, value = line.partition(b"=")

@@ -206,7 +206,7 @@ def parse_range(text: str) -> tuple[int, ...]:
         match = _RANGE.match(piece)
         if match is None:
             raise OptionError(
-                f"'{piece or text}' is no range of frames", remedy="write 1-50, 1-50x2 or 1,3,7"
+                f"'{piece or text}' is not a range of frames", remedy="write 1-50, 1-50x2 or 1,3,7"
             )
         first = int(match[1])
         last = first if match[2] is None else int(match[2])

@@ -254,7 +254,7 @@ def normals_of_odd_length(frame: Frame, noise: Noise | None) -> Suspicion | None
     longer = float(np.mean(length > 1.05))
     if longer > 0.05:
         return Suspicion(
-            "normals are no unit vectors",
+            "normals are not unit vectors",
             "warning",
             layer.name,
             f"{100 * longer:.0f} % of them are longer than 1 (median {np.median(length):.3g}).",

@@ -59,9 +59,9 @@ def before(run: Run) -> list[dict[str, Any]]:
     try:
         runs = parse_json(read_text(file, "account of a run", _REMEDY))
     except ValueError as error:
-        raise FileError(f"is no JSON: {error}", file=file, remedy=_REMEDY) from None
+        raise FileError(f"is not valid JSON: {error}", file=file, remedy=_REMEDY) from None
     if not fits(runs, list[dict[str, Any]]):
-        raise FileError("is no list of runs", file=file, remedy=_REMEDY)
+        raise FileError("is not a list of runs", file=file, remedy=_REMEDY)
     return list(runs)
 
 

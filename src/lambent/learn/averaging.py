@@ -42,7 +42,7 @@ def average(sources: Sequence[str], path: Path, overwrite: bool = False) -> dict
     shapes = [{k: tuple(v.shape) for k, v in w.items()} for w in weights]
     if any(shape != shapes[0] for shape in shapes):
         raise OptionError(
-            "models of different sizes have no mean", remedy="take models of one size"
+            "models of different sizes cannot be averaged", remedy="take models of one size"
         )
     size = parts[0].get("recipe", {}).get("size", "default")
     model = (RoundedNet if "steps.input" in weights[0] else LambentNet)(size)

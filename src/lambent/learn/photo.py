@@ -244,7 +244,7 @@ def photographs(folder: Path) -> list[Photograph]:
             with Image.open(path) as image:
                 pixels = np.asarray(image.convert("RGB"), np.uint8)
         except (UnidentifiedImageError, OSError) as error:
-            raise FileError(f"is no picture: {error}", file=path, remedy="remove it") from None
+            raise FileError(f"is not a picture: {error}", file=path, remedy="remove it") from None
         found.append(Photograph(path.name, pixels))
     if not found:
         raise FileError("holds no PNG or JPEG", file=folder, remedy="name another folder")

@@ -105,7 +105,7 @@ def train_recipe_from(settings: dict[str, Any], file: object = None) -> TrainRec
     """A recipe from keys and values. Raises `OptionError`."""
     recipe = record_from(TrainRecipe, settings, _RANGES, file, required=("name",))
     if not recipe.name or any(c in recipe.name for c in "/\\\0") or recipe.name.startswith("."):
-        raise OptionError(f"'{recipe.name}' is no name for a run", file=file)
+        raise OptionError(f"'{recipe.name}' cannot be the name of a run", file=file)
     if recipe.optimiser not in OPTIMISERS:
         raise OptionError(
             f"there is no optimiser '{recipe.optimiser}'",

@@ -91,7 +91,7 @@ def _refused(first: Picture, one: Windows, second: Picture, other: Windows) -> L
         return LayerError(
             f"{second.label} is {shown(other)}, {first.label} is {shown(one)}: their pixels lie "
             f"({offset[0]}, {offset[1]}) apart",
-            remedy="only pixels of one place can be compared: render or crop both alike",
+            remedy="only the same part of a picture can be compared: render or crop both alike",
         )
     return LayerError(
         f"{second.label} is {shown(other)}, {first.label} is {shown(one)}",

@@ -198,7 +198,7 @@ def resume(path: str | Path, stamp: Stamp, groups: tuple[Group, ...]) -> Moments
         raise OutputError(
             "was not rendered by lambent, so nothing can be added to it",
             file=path,
-            remedy="name another output, or begin anew with --overwrite",
+            remedy="name another output, or start again with --overwrite",
         )
     for name, mine in asdict(stamp).items():
         theirs = getattr(there, name)
@@ -207,7 +207,8 @@ def resume(path: str | Path, stamp: Stamp, groups: tuple[Group, ...]) -> Moments
                 f"was rendered with another {name} ({_short(theirs)}, now {_short(mine)}), "
                 "so nothing can be added to it",
                 file=path,
-                remedy=f"give the same {name}, name another output, or begin anew with --overwrite",
+                remedy=f"give the same {name}, name another output, or start again with "
+                "--overwrite",
             )
     return _moments_of(read(path), groups)
 

@@ -206,7 +206,9 @@ def _check_section(section: dict[str, Any], name: str, path: Path) -> None:
     at = section.get("at", 0.0)
     times = at if isinstance(at, list) else [at]
     if not times or not fits(times, list[float]) or max(map(abs, times)) > 1e9:
-        raise OptionError(f"[{name}] 'at' is no list of frames", file=path, remedy="at = [1, 24]")
+        raise OptionError(
+            f"[{name}] 'at' is not a list of frames", file=path, remedy="at = [1, 24]"
+        )
     if any(b <= a for a, b in itertools.pairwise(times)):
         raise OptionError(
             f"[{name}] keyframes ('at') must rise", file=path, remedy="put them in order"

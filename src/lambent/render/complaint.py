@@ -52,14 +52,14 @@ def explained(error: Exception, file: object, doing: str) -> LambentError:
         )
     if "out of memory" in text:
         return EngineError(
-            f"the memory is not enough: {text[:200]}", file=file, remedy="take a smaller --size"
+            f"there is not enough memory: {text[:200]}", file=file, remedy="take a smaller --size"
         )
     if "non-spectral" in text:
         remedy = "Lambent renders in RGB: give the colour as <rgb value=…>, or as a <spectrum>"
     elif doing == "loaded":
         remedy = "Mitsuba 3 reads scenes of version 0.4 to its own; older ones need its converter"
     else:
-        remedy = "mend in the scene what Mitsuba complains of"
+        remedy = "correct what Mitsuba complains of in the scene"
     return DamagedFileError(f"cannot be {doing}: {text[:500]}", file=file, remedy=remedy)
 
 

@@ -71,7 +71,7 @@ class Effort:
             text = spp.removeprefix("+")
             if not text.isdigit():
                 raise OptionError(
-                    f"'{spp}' is no number of samples a pixel",
+                    f"'{spp}' is not a number of samples per pixel",
                     remedy="take --spp 64, or --spp +64",
                 )
             spp = int(text) + (began if self.more else 0)

@@ -104,7 +104,7 @@ def check(mi: Any, names: Mapping[str, str], file: object) -> None:
             raise DamagedFileError(
                 f"asks for the plug-in '{name}'{place}, which Mitsuba does not have",
                 file=file,
-                remedy="mend its type, import the package that registers it first, or name the "
+                remedy="correct its type, import the package that registers it first, or name the "
                 "folder of its file with --allow-plugins",
             )
 
@@ -137,7 +137,7 @@ def _is_settled(mi: Any, file: Path) -> bool:
         loaded = own / file.name  # by the script that runs
     if loaded not in (None, file) and file.parent != own:
         raise EngineError(
-            f"the plug-in '{file}' comes too late: '{loaded}' is loaded under this name",
+            f"the plug-in '{file}' is allowed too late: '{loaded}' is loaded under this name",
             remedy="allow it before anything is rendered, or give it another name",
         )
     return loaded is not None

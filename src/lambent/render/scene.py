@@ -182,7 +182,7 @@ def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
         raise FileError(f"cannot be read: {error.strerror}", file=path) from error
     if not start.startswith((b"<", b"\xef\xbb\xbf<")):
         raise FileError(
-            "is no Mitsuba scene (XML)",
+            "is not a Mitsuba scene (XML)",
             file=path,
             remedy="Lambent renders Mitsuba's .xml and Blender's .blend",
         )

@@ -265,7 +265,7 @@ def _begin_with(model: nn.Module, start: Weights) -> None:
     lacking = [k for k, v in own.items() if k not in start or start[k].shape != v.shape]
     if lacking:
         raise OptionError(
-            f"the weights to begin with are of another network: {lacking[0]} is not among them"
+            f"the weights to start from belong to another network: {lacking[0]} is not among them"
             + (f", nor are {len(lacking) - 1} others" if len(lacking) > 1 else ""),
             remedy="name the folder of a run of this network; model files of networks with "
             "normalisation cannot be trained on",
@@ -275,7 +275,7 @@ def _begin_with(model: nn.Module, start: Weights) -> None:
 
 def _earlier(what: str, file: Path) -> FileError:
     return FileError(
-        f"holds {what}, as an earlier version of Lambent had it",
+        f"holds {what}, in the form of an earlier version of Lambent",
         file=file,
         remedy="train into another folder with --run, or delete this one",
     )

@@ -116,5 +116,7 @@ def load(path: Path) -> dict[str, Any]:
             f"cannot be read: {error}", file=path, remedy="delete it, or the whole run"
         ) from None
     if not isinstance(stored, dict):
-        raise DamagedFileError("is no run's", file=path, remedy="delete it, or the whole run")
+        raise DamagedFileError(
+            "is not part of a run", file=path, remedy="delete it, or the whole run"
+        )
     return stored

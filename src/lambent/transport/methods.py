@@ -92,8 +92,8 @@ class Method(Generic[S]):
         ]  # fmt: skip
         if changed:
             raise OptionError(
-                f"the solution to go on with has another {', '.join(changed)}",
-                remedy="leave that out, or begin anew with --overwrite",
+                f"the solution to continue has another {', '.join(changed)}",
+                remedy="leave that out, or start again with --overwrite",
             )
         return self.settings(**{**kept, **values})
 

@@ -174,7 +174,7 @@ def scene_of(solution: Solution, scene: Any = None, **options: Any) -> LoadedSce
         )
     if isinstance(source, (str, os.PathLike)) and not Path(source).exists():
         raise FileError(
-            "the scene that was solved is not there any more",
+            "the scene that was solved no longer exists",
             file=source,
             remedy="name it: --scene SCENE.xml",
         )
@@ -300,7 +300,7 @@ def _place(
 ) -> None:
     if stand is None or target is None:
         raise OptionError(
-            "a camera of one's own needs where it stands and what it looks at",
+            "your own camera needs a position and a target",
             remedy="give both: --origin X,Y,Z --target X,Y,Z",
         )
     import mitsuba as mi
@@ -321,7 +321,7 @@ def _widen(loaded: LoadedScene, fov: float) -> None:
     import mitsuba as mi
 
     if not 0 < fov < 180:
-        raise OptionError(f"a field of view of {fov:g} degrees cannot be", remedy="take 20 to 90")
+        raise OptionError(f"the field of view cannot be {fov:g} degrees", remedy="take 20 to 90")
     params = mi.traverse(loaded.sensor)
     if "x_fov" not in params:
         raise OptionError("this camera has no field of view", remedy="leave --fov out")

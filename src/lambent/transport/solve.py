@@ -55,7 +55,7 @@ def solve(
         path = Path(output)
         if path.suffix != ".lambent":
             raise OptionError(
-                f"'{path.name}' is no name for a solution", remedy="end it in .lambent"
+                f"'{path.name}' cannot be the name of a solution", remedy="end it in .lambent"
             )
         check_target(path, overwrite or resume)
         if resume:

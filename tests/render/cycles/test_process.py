@@ -74,7 +74,7 @@ def test_order_of_asking(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_variable_that_names_nothing_useful(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(finding.VARIABLE, str(bare / "nothing"))
-    with pytest.raises(EngineError, match="no program"):
+    with pytest.raises(EngineError, match="not a program"):
         find_blender()
     without = bare / "python"
     without.write_text("#!/bin/sh\nexit 1\n")

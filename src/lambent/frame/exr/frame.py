@@ -259,7 +259,7 @@ def replaced_channels(
             continue
         found = None if layer.source is None else origin.found.get(layer.source)
         if found is None:
-            notes.append(f"'{layer.name}' is no layer of the file and was not written.")
+            notes.append(f"'{layer.name}' is not a layer of the file and was not written.")
             continue
         _check_size(layer, found, origin, frame)
         notes += _place(layer, found, origin, replaced)

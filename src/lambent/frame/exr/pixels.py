@@ -143,7 +143,7 @@ def _plain_rows(container: Container, part: PartHeader, chosen: slice, a: int, b
     start, size = chunks.start[chosen], chunks.size[chosen]
     row = part.width * sum(c.dtype.itemsize for c in part.channels)
     if (size != row).any():
-        container.damaged("a row has not the size that its channels need", layer=_name(part))
+        container.damaged("a row does not have the size that its channels need", layer=_name(part))
     stride = chunks.lead + row
     in_order = bool((np.diff(start) == stride).all())
     found = {c.name: np.empty((len(start), part.width), c.dtype) for c in part.channels}

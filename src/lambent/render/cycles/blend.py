@@ -161,7 +161,7 @@ def check_blend(path: Path) -> tuple[int, int] | None:
         return None  # the usual packing since 3.0; Blender will tell
     match = _HEAD.match(head)
     if match is None:
-        what = "is empty" if not head else "is no .blend: its first bytes are not Blender's"
+        what = "is empty" if not head else "is not a .blend: its first bytes are not Blender's"
         raise DamagedFileError(what, file=path, remedy="save it again from Blender")
     major, minor = (int(g) for g in match.groups() if g is not None)
     return major, minor

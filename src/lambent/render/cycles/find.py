@@ -67,7 +67,7 @@ def cycles_available() -> bool:
 def _chosen(name: str) -> Blender:
     program = shutil.which(os.path.expanduser(name))
     if program is None:
-        raise EngineError(f"{VARIABLE} names '{name}', which is no program", remedy=HOW)
+        raise EngineError(f"{VARIABLE} names '{name}', which is not a program", remedy=HOW)
     if Path(program).name.lower().startswith("blender"):
         return Blender(program, False)
     if not _has_bpy(program):

@@ -267,7 +267,7 @@ def export(
     """By the name's ending: ``.ply``, ``.glb``. Raises `OptionError` for others."""
     suffix = Path(path).suffix.lower()
     if suffix not in (".ply", ".glb"):
-        raise OptionError(f"'{suffix}' is no kind of mesh", remedy="take .ply or .glb")
+        raise OptionError(f"'{suffix}' is not a mesh format", remedy="take .ply or .glb")
     write = write_ply if suffix == ".ply" else write_gltf
     write(path, mesh(solution, scene, surfaces, exposure), overwrite)
 

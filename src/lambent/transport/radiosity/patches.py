@@ -133,7 +133,7 @@ def uniform(surfaces: Surfaces, size: float) -> Cells:
     Slivers with next to no area are left as long as they are. Raises `OptionError`.
     """
     if not size > 0:
-        raise OptionError(f"patches of size {size:g} cannot be", remedy="give a length above 0")
+        raise OptionError(f"patches cannot have size {size:g}", remedy="give a length above 0")
     count = len(surfaces)
     square = np.zeros((count, 3, 2), np.float32)
     square[:, 1, 0] = square[:, 2, 1] = 1

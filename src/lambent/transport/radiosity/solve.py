@@ -123,7 +123,7 @@ class _Work:
     def _check_size(self, size: float) -> None:
         """Refuse patches so small that cutting alone would fill the memory."""
         if not size > 0:
-            raise OptionError(f"patches of size {size:g} cannot be", remedy="give a length above 0")
+            raise OptionError(f"patches cannot have size {size:g}", remedy="give a length above 0")
         count = float(self.surfaces.area.sum()) / (size * size)
         if count > MOST:
             raise OptionError(

@@ -151,10 +151,10 @@ def cg(eq: Equation, start: Array | None = None) -> Steps:
         yield np.where(alive, up * y, fixed)
 
 
-def southwell(eq: Equation, start: Array | None = None) -> Steps:
+def southwell(eq: Equation, start: Array | None = None, every: int | None = None) -> Steps:
     """Progressive refinement: the face with the most unsent light sends it to all.
 
-    Yields after every fiftieth of the faces.
+    Yields after ``every`` shots (None: as many as a fiftieth of the faces).
     """
     x = eq.first.copy() if start is None else start.copy()
     unsent = x.copy() if start is None else eq.residual(start)
@@ -162,7 +162,7 @@ def southwell(eq: Equation, start: Array | None = None) -> Steps:
         x = x + unsent
     g = eq.factors  # rows: F_ji = G_ji / A_j, and what i gets from j is F_ij = G_ji / A_i
     pointers, columns, values = g.indptr, g.indices, g.data
-    often = max(1, len(x) // 50)
+    every = every or max(1, len(x) // 50)
     count = 0
     power = eq.area * unsent.sum(1)
     while True:
@@ -177,7 +177,7 @@ def southwell(eq: Equation, start: Array | None = None) -> Steps:
         power[to] = eq.area[to] * unsent[to].sum(1)
         power[j] = eq.area[j] * unsent[j].sum()
         count += 1
-        if count % often == 0:
+        if count % every == 0:
             yield x.copy()
 
 
