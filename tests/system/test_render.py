@@ -150,7 +150,7 @@ def test_the_report_shows_the_picture(scene, tmp_path):
     [
         (["--spp", "0"], "more than zero"),
         (["--spp", "many"], "not a number of samples"),
-        (["--size", "12"], "no size in pixels"),
+        (["--size", "12"], "not a size in pixels"),
         (["--features", "albedoo"], "albedo"),
         (["--camera", "3"], "no camera '3'"),
         (["--light-group", "key"], "NAME=ID"),
