@@ -85,7 +85,7 @@ def test_the_mean_of_two_models_lies_between_them(tmp_path):
     other = tmp_path / "other.lambent"
     export(LambentNet("default"), other, {"name": "other"}, None)
     card = average(paths, tmp_path / "mean.lambent")
-    assert [part["name"] for part in card["averaged"]] == ["1", "2"]
+    assert [part["name"] for part in card["parts"]] == ["1", "2"]
     assert "score" not in card  # that of another's weights would be a lie
     assert card["score_says"].startswith("not measured")
     one, two, mean = (float_weights(p) for p in (*paths, str(tmp_path / "mean.lambent")))

@@ -40,6 +40,17 @@ def test_a_scene_that_mitsuba_refuses(tmp_path, body, words):
     assert raised.value.remedy
 
 
+def test_a_blackbody_does_not_spoil_other_scenes(tmp_path):
+    bad, good = tmp_path / "bad.xml", tmp_path / "good.xml"
+    emitter = '<emitter type="constant"><{} name="radiance" {}/></emitter>'
+    bad.write_text(SCENE.format(emitter.format("spectrum", 'type="blackbody"')))
+    good.write_text(SCENE.format(emitter.format("rgb", 'value="2"')))
+    with pytest.raises(DamagedFileError) as kept:  # with whatever its traceback holds
+        lambent.render(bad, spp=1)
+    assert lambent.render(good, spp=1).colour == pytest.approx(2)
+    assert kept.value.file == str(bad)
+
+
 def raising(error, cause=None):
     with explaining("a.xml"):
         raise error from cause

@@ -139,8 +139,8 @@ def test_the_default_is_what_the_docs_say() -> None:
     from lambent.cli.denoise import denoise
 
     assert inspect.signature(denoise).parameters["model"].default == DEFAULT_MODEL
-    page = (ROOT / "docs" / "denoiser.md").read_text()
+    page = (ROOT / "docs" / "guides" / "own_frames.md").read_text()
     from lambent.frame.noise import SMOOTH, SPLATTED
 
     assert DEFAULT_MODEL == "auto"
-    assert f"(correlation {SPLATTED} to {SMOOTH})" in page
+    assert f"correlates by {SPLATTED} to {SMOOTH}" in page

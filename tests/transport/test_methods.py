@@ -160,14 +160,17 @@ def test_a_new_method_is_solved_saved_viewed_and_reported(constant, scene, tmp_p
 
 
 def test_wishes_that_a_method_does_not_know(constant, scene, tmp_path, capsys):
-    path = tmp_path / "room.lambent"
+    path, new = tmp_path / "room.lambent", tmp_path / "new.lambent"
     lambent.solve(scene, "constant", output=path)
     for args, words in (
         (("solve", scene, "-o", path, "--resume", "--radiance", 2), "radiance (1.0 there, 2.0"),
-        (("solve", scene, "--method", "constant", "--patches", 9), "constant has no setting patch"),
-        (("solve", scene, "--radiance", 9), "radiosity has no setting radiance"),
-        (("solve", scene, "--method", "constant", "--radiance", 900), "from 0 to 100"),
-        (("solve", scene, "--method", "magic"), "no method 'magic'"),
+        (
+            ("solve", scene, "-o", new, "--method", "constant", "--patches", 9),
+            "constant has no setting patch",
+        ),
+        (("solve", scene, "-o", new, "--radiance", 9), "radiosity has no setting radiance"),
+        (("solve", scene, "-o", new, "--method", "constant", "--radiance", 900), "from 0 to 100"),
+        (("solve", scene, "-o", new, "--method", "magic"), "no method 'magic'"),
         (("view", path, "-o", tmp_path / "a.png", "--show", "mesh"), "Known: half, plain"),
         (("view", path, "-o", tmp_path / "a.exr", "--lightmap"), "by constant has no lightmap"),
         (("view", path, "-o", tmp_path / "a.glb"), "by constant has no mesh"),

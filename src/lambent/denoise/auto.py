@@ -66,7 +66,7 @@ class Auto(Denoiser):
     about: ClassVar[About] = About(
         name="auto",
         title="The best one for the file at hand: lambent, lambent-oidn or oidn",
-        paper="",
+        paper="docs/notes/denoiser",
         group="work",
         uses=Lambent.about.uses,
         cost="that of the model it takes",

@@ -47,7 +47,7 @@ class Mean(Denoiser):
     about: ClassVar[About] = About(
         name="lambent-oidn",
         title="The mean of Open Image Denoise and lambent",
-        paper="",
+        paper="docs/notes/denoiser",
         group="work",
         uses=Lambent.about.uses,
         cost="both networks, 223 kMAC a pixel, once for all layers",

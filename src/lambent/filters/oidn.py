@@ -336,7 +336,7 @@ class OIDNBest(OIDN):
         name="oidn-best",
         title="Open Image Denoise, prefiltered guides",
         cost="a U-Net, 312 kMAC a pixel, for albedo, normal and every layer",
-        when="final frames, at two to three times the time of oidn",
+        when="final frames, at seven times the time of oidn",
     )
     prefilter: bool = True
 

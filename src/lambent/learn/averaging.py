@@ -33,7 +33,7 @@ def average(sources: Sequence[str], path: Path, overwrite: bool = False) -> dict
     """Write the mean of the weights of runs and models of one size as a model file; its card.
 
     ``sources``: folders of runs (their best weights), models by name or path; of our own network.
-    The card has all of them under ``averaged``, each with the score of its own; of the mean no
+    The card has all of them under ``parts``, each with the score of its own; of the mean no
     score is known until somebody measures it. Raises `FileError`, `OptionError`, `OutputError`.
     """
     if len(sources) < 2:
@@ -51,6 +51,9 @@ def average(sources: Sequence[str], path: Path, overwrite: bool = False) -> dict
     sets: list[Any] = []
     for part in parts:
         sets += [one for one in part.get("data", ()) if one not in sets]
+    names = ", ".join(
+        str(part.get("name", source)) for part, source in zip(parts, sources, strict=True)
+    )
     card = {
         "name": path.stem,
         "recipe": parts[0].get("recipe", {}),
@@ -58,7 +61,8 @@ def average(sources: Sequence[str], path: Path, overwrite: bool = False) -> dict
         **cost_of(ready),
         "data": sets,
         "commit": commit(),
-        "averaged": list(parts),
+        "averaged": f"over {len(parts)} sets of weights: {names}",
+        "parts": list(parts),
         "score_says": "not measured: a mean of weights has an error of its own",
     }
     export(model, path, card, None, overwrite, half=True)

@@ -72,7 +72,9 @@ def load(
         digest = _digest_of_file(path, parameters or {})
     elif isinstance(source, Mapping):
         with explaining("the scene", "loaded"):
-            check_plugins(mi, dict.fromkeys(names_in(source), ""), "the scene")
+            named = dict.fromkeys(names_in(source), "")
+            check_plugins(mi, named, "the scene")
+            _check_spectra(mi, named, "the scene")
             scene = mi.load_dict(dict(source))
         digest = hashlib.sha256(repr(sorted(source)).encode() + str(scene).encode()).hexdigest()
     else:
@@ -127,6 +129,7 @@ def build(
             where = re.search(r"line \d+, col \d+", mi.parser.file_location(state, node))
             named.setdefault(node.props.plugin_name(), where.group(0) if where else "")
         check_plugins(mi, named, path)
+        _check_spectra(mi, named, path)
         if change is not None:
             change(mi, state.nodes)
         built = mi.parser.instantiate(config, state)
@@ -150,6 +153,21 @@ def film_size(sensor: Any) -> tuple[int, int]:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _check_spectra(mi: Any, named: Mapping[str, str], file: object) -> None:
+    """Raise `DamagedFileError` for a blackbody in RGB, which Mitsuba refuses only while it renders.
+
+    By then the scene is there, and as long as anything holds it (a traceback does), Dr.Jit calls
+    its blackbody for every other scene, too: none could be rendered any more.
+    """
+    if "blackbody" in named and not mi.is_spectral:
+        where = f" ({named['blackbody']})" if named["blackbody"] else ""
+        raise DamagedFileError(
+            f"has a blackbody{where}, which is not implemented for non-spectral modes",
+            file=file,
+            remedy="Lambent renders in RGB: give the colour as <rgb value=…>, or as a <spectrum>",
+        )
 
 
 def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
