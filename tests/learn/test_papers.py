@@ -481,7 +481,7 @@ def test_direct_prediction_makes_no_light_of_what_is_not_there(tmp_path):
     expected = np.maximum(np.expm1(said[0]), 0) * parts.albedo / factor
     np.testing.assert_allclose(denoiser(bare, "beauty").colour, expected.transpose(1, 2, 0))
     assert denoiser(frame, "beauty").colour.min() >= 0
-    assert any("apart" in note for note in denoiser(bare, "beauty").notes)
+    assert any("separate diffuse" in note for note in denoiser(bare, "beauty").notes)
 
 
 @pytest.mark.parametrize("name", ["kpcn", "dpcn", "modular"])

@@ -232,7 +232,7 @@ def test_files_that_are_no_blend(tmp_path: Path) -> None:
     for content in (b"", b"PK\3\4 something else", gzip.compress(b"no blend")):
         path = tmp_path / "x.blend"
         path.write_bytes(content)
-        with pytest.raises(DamagedFileError, match=r"empty|no \.blend"):
+        with pytest.raises(DamagedFileError, match=r"empty|not a \.blend"):
             render_blend(path)
     path.write_bytes(b"\x1f\x8b broken")
     with pytest.raises(DamagedFileError, match="cannot be read"):
