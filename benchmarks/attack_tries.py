@@ -138,8 +138,8 @@ def try_roundtrip(rng: np.random.Generator, folder: Path) -> Lost:
 
 # ------------------------------------------------------------------- pictures
 
-#: Half a step of a Radiance HDR, relative to the largest channel of the pixel.
-RGBE = 1 / 256
+#: A step of a Radiance HDR at most, relative to the largest channel of the pixel.
+RGBE = 1 / 128
 
 
 def try_picture(rng: np.random.Generator, folder: Path) -> Lost:
