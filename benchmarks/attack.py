@@ -78,7 +78,7 @@ SCENE = """<scene version="3.0.0">
 RECIPE = """
 name = "attack"
 seed = 5
-source = "mitsuba"
+source = "procedural"
 count = 2
 clip_count = 0
 items_per_scene = 1
