@@ -421,7 +421,8 @@ def attack_kills(numbers: list[int], options: Options) -> Tally:
         )
         for path in folder.rglob("*"):
             new = path.relative_to(folder).parts[0] not in before
-            if new and path.name.startswith(".") and path.is_file() and kind != signal.SIGKILL:
+            hidden = path.name.startswith(".") and path.name != ".lock"  # a data set keeps its lock
+            if new and hidden and path.is_file() and kind != signal.SIGKILL:
                 lost += max(1, path.stat().st_size)
                 case += f"\nleft: {path.name}"
         right = (0, -kind if kind == signal.SIGKILL else 130)

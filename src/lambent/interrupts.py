@@ -4,7 +4,7 @@ Both arrive as `KeyboardInterrupt`, between any two lines of Python. Where C++ h
 Python, the exception comes out as something else: Dr.Jit makes a `RuntimeError` of what is raised
 while it records a loop, a module that is being imported an `ImportError` without a cause, and what
 is raised in a destructor is printed and forgotten. So while `watched` lasts, that a signal came is
-remembered beside the exception (`came`).
+remembered beside the exception (`came`), and one that was forgotten is raised again.
 
 A module whose import is cut short stays half-made, or its lock is kept for ever. So a signal that
 comes during an import waits until that is over, for `PATIENCE` seconds at most.
@@ -13,12 +13,16 @@ comes during an import waits until that is over, for `PATIENCE` seconds at most.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 #: How long a signal waits for an import, and how often it looks, in seconds.
 PATIENCE, LOOK = 10.0, 0.02
@@ -56,6 +60,8 @@ def watched() -> Iterator[None]:
         if callable(handler):
             before[number] = handler
             signal.signal(number, _remembering(handler))
+    hook = sys.unraisablehook
+    sys.unraisablehook = _raising_again(hook)
     _came = _came if _open else False
     _open += 1
     try:
@@ -64,6 +70,7 @@ def watched() -> Iterator[None]:
         _open -= 1
         if not _open:
             _came = False
+        sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -77,7 +84,8 @@ def _remembering(handler: Any) -> Any:
         _came = True
         if _imports(frame):
             waits_since = waits_since or time.monotonic()
-            if time.monotonic() - waits_since < PATIENCE and _again_soon(number):
+            waits = time.monotonic() - waits_since < PATIENCE
+            if waits and _soon(lambda: signal.raise_signal(number)):
                 return
         waits_since = 0.0
         handler(number, frame)
@@ -94,8 +102,25 @@ def _imports(frame: FrameType | None) -> bool:
     return False
 
 
-def _again_soon(number: int) -> bool:
-    """Send this process the signal again after a moment, by the alarm, if nobody else uses that."""
+def _raising_again(
+    hook: Callable[[UnraisableHookArgs], object],
+) -> Callable[[UnraisableHookArgs], object]:
+    """A hook for exceptions that nobody can catch, in which an interrupt is not lost."""
+
+    def look(unraisable: UnraisableHookArgs) -> object:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt) and _soon(_interrupt):
+            return None
+        return hook(unraisable)
+
+    return look
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def _soon(action: Callable[[], None]) -> bool:
+    """Do something after a moment, by the alarm, if nobody else uses that."""
     global _alarm_set
     if _alarm_set:
         return True
@@ -106,7 +131,7 @@ def _again_soon(number: int) -> bool:
         global _alarm_set
         _alarm_set = False
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.raise_signal(number)
+        action()
 
     _alarm_set = True
     signal.signal(signal.SIGALRM, ring)
