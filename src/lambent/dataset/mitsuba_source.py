@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 FEATURES = "light,features"
 
 
-class _MitsubaSource:
+class MitsubaSource:
     """What both sources share: the renderer, started when it is first needed."""
 
     licences: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
     def __init__(self, recipe: Recipe, device: str, phases: Phases) -> None:
         self.recipe, self.device, self.phases = recipe, device, phases
@@ -70,7 +71,7 @@ class _MitsubaSource:
         return found
 
 
-class ProceduralSource(_MitsubaSource):
+class ProceduralSource(MitsubaSource):
     """Random scenes (`lambent.scenes.mitsuba`); the recipe's kinds, or all in their shares."""
 
     licences = ("procedural scenes: made by Lambent, CC0-1.0",)
@@ -102,11 +103,11 @@ class ProceduralSource(_MitsubaSource):
             size = self.recipe.view
             scene = build(plan, self.mi, 0, size)
         about = {"kind": plan.kind, "seed": seed, "triangles": plan.triangles}
-        return MitsubaScene(self, scene, about, len(plan.cameras), frames, _Places(plan))
+        return MitsubaScene(self, scene, about, len(plan.cameras), frames, Places(plan))
 
 
 @dataclass(frozen=True)
-class _Places:
+class Places:
     """Cameras of a plan: lens of each, and an animation that starts with the frame before."""
 
     plan: ScenePlan
@@ -146,7 +147,7 @@ class MitsubaScene:
 
     def __init__(
         self,
-        source: _MitsubaSource,
+        source: MitsubaSource,
         scene: Any,
         about: Mapping[str, Any],
         cameras: int,
@@ -254,7 +255,7 @@ class MitsubaView:
 # ---------------------------------------------------------------- scenes from files
 
 
-class FileSource(_MitsubaSource):
+class FileSource(MitsubaSource):
     """Scene files (XML), with cameras moved, and colours, roughness and lights changed.
 
     A seed chooses the variation; ``vary = false`` in the recipe moves the camera only.
@@ -266,7 +267,7 @@ class FileSource(_MitsubaSource):
             raise OptionError(
                 "the recipe names no scene", remedy='add a line: scenes = ["kitchen/scene.xml"]'
             )
-        self._open: tuple[str, Any, dict[str, Any], _Tripod] | None = None
+        self._open: tuple[str, Any, dict[str, Any], Tripod] | None = None
 
     def scene(self, seed: int, job: int, frames: int) -> MitsubaScene:
         """A variation of one of the files; they take turns."""
@@ -287,7 +288,7 @@ class FileSource(_MitsubaSource):
         count = self.recipe.cameras_per_scene
         return MitsubaScene(self, scene, about, count, frames, tripod.at(seed))
 
-    def _loaded(self, path: str) -> tuple[Any, dict[str, Any], _Tripod]:
+    def _loaded(self, path: str) -> tuple[Any, dict[str, Any], Tripod]:
         """The scene of a file, and what varies as the file has it: values, and the camera."""
         from lambent.render.scene import load
 
@@ -297,7 +298,7 @@ class FileSource(_MitsubaSource):
             scene = load(path, size=self.recipe.view, device=self.device).scene
             params = self.mi.traverse(scene)
             original = {k: np.array(params[k]).copy() for k, _ in params if _varies(k)}
-            self._open = (path, scene, original, _Tripod(self.mi, scene))
+            self._open = (path, scene, original, Tripod(self.mi, scene))
         return self._open[1:]
 
 
@@ -331,7 +332,7 @@ def varied(key: str, value: Any, random: np.random.Generator) -> Any:
     return value * strength
 
 
-class _Tripod:
+class Tripod:
     """Random cameras around a file's own: turned, moved, with other focal lengths."""
 
     def __init__(self, mi: Any, scene: Any) -> None:
@@ -343,7 +344,7 @@ class _Tripod:
         self.seed = 0
         self.reach = self._reach(mi, scene)
 
-    def at(self, seed: int) -> _Tripod:
+    def at(self, seed: int) -> Tripod:
         """The cameras of a variation."""
         other = copy.copy(self)
         other.seed = seed

@@ -33,6 +33,11 @@ def refuse_scene(path: Path, file: object = None) -> None:
             )
 
 
+def refuse_file(path: Path) -> None:
+    """Raise `OptionError` if a file belongs to a validation scene, by name or by content."""
+    refuse_scene(path)
+
+
 def refuse_seeds(seeds: Iterable[int], file: object = None) -> None:
     """Raise `OptionError` if one of the seeds is a validation scene's."""
     for seed in seeds:
