@@ -98,7 +98,7 @@ class Gltf:
                 data = self.buffer(view["buffer"])[start : start + view["byteLength"]]
             picture = Image.open(io.BytesIO(data)).convert("RGBA")
             picture.thumbnail((1024, 1024))
-            self._images[number] = np.asarray(picture)
+            self._images[number] = np.array(picture)  # Mitsuba takes no read-only array
         return self._images[number]
 
     def damaged(self, why: str) -> DamagedFileError:

@@ -99,7 +99,7 @@ def read_picture(path: Path, channels: int) -> NDArray[np.uint8]:
     except OSError as error:
         raise DamagedFileError(f"the picture cannot be read: {error}", file=path) from error
     picture.thumbnail((1024, 1024))
-    return np.asarray(picture).reshape(picture.height, picture.width, channels)
+    return np.array(picture).reshape(picture.height, picture.width, channels)
 
 
 def boxed(geometry: Geometry) -> Geometry:
