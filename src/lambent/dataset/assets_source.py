@@ -1,12 +1,11 @@
 """Scenes of real things, from a folder (`lambent.scenes.assets`): arrangements and whole scenes.
 
-The folder is ``assets`` of the recipe, or ``LAMBENT_ASSETS``.
+The folder is ``assets`` of the recipe.
 """
 
 from __future__ import annotations
 
 import gc
-import os
 from pathlib import Path
 
 from lambent.dataset.mitsuba_source import MitsubaScene, MitsubaSource, Places
@@ -23,13 +22,12 @@ class AssetSource(MitsubaSource):
         from lambent.scenes.assets.library import open_library
 
         super().__init__(recipe, device, phases)
-        folder = recipe.assets or os.environ.get("LAMBENT_ASSETS", "")
-        if not folder:
+        if not recipe.assets:
             raise OptionError(
                 "the recipe needs a folder of assets",
                 remedy="give --assets DIR, assets = in the recipe, or set LAMBENT_ASSETS",
             )
-        self.library = open_library(Path(folder).expanduser(), refuse_file)
+        self.library = open_library(Path(recipe.assets), refuse_file)
         self.licences = self.library.licences
         self.notes = self.library.notes
 

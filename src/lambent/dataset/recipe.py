@@ -145,8 +145,13 @@ _RANGES: tuple[Range, ...] = (
 )
 
 
-def load_recipe(path: str | os.PathLike[str]) -> Recipe:
+def load_recipe(
+    path: str | os.PathLike[str], assets: str | os.PathLike[str] | None = None
+) -> Recipe:
     """The recipe in a TOML file; scene files are found from the recipe's own folder.
+
+    ``assets``: a folder of assets in place of the recipe's; else ``LAMBENT_ASSETS`` fills in where
+    a recipe with ``source = "assets"`` has none.
 
     Raises `FileError` (missing, no TOML), `OptionError` (unknown key, value that makes no sense,
     a validation scene).
@@ -156,7 +161,7 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
     recipe = Recipe.from_dict(settings, path)
     found = []
     for scene in recipe.scenes:
-        place = Path(os.path.expandvars(scene)).expanduser()
+        place = _filled_in(scene)
         if not place.is_absolute():
             place = path.parent / place
         if not place.exists():
@@ -167,4 +172,13 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
             )
         refuse_scene(place, path)
         found.append(str(place.resolve()))
-    return dataclasses.replace(recipe, scenes=tuple(found))
+    folder = str(Path(assets).resolve()) if assets is not None else ""
+    if not folder and recipe.assets:
+        folder = str((path.parent / _filled_in(recipe.assets)).resolve())
+    elif not folder and recipe.source == "assets" and os.environ.get("LAMBENT_ASSETS"):
+        folder = str(Path(os.environ["LAMBENT_ASSETS"]).expanduser().resolve())
+    return dataclasses.replace(recipe, scenes=tuple(found), assets=folder)
+
+
+def _filled_in(text: str) -> Path:
+    return Path(os.path.expandvars(text)).expanduser()

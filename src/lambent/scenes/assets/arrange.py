@@ -275,9 +275,7 @@ def _shelf(s: Set) -> list[CameraPlan]:
     stage.add([(wall, s.floor("wall", "wall_accent", "facade"))])
     stage.add([(quad(14, 14), s.floor("floor"))])
     planks = [box(w, d, 0.025).moved(translate(0, 0, 0.3 + k * rise)) for k in range(boards + 1)]
-    sides = [
-        box(0.03, d, 0.325 + boards * rise).moved(translate(x * w / 2, 0, 0)) for x in (-1, 1)
-    ]
+    sides = [box(0.03, d, 0.325 + boards * rise).moved(translate(x * w / 2, 0, 0)) for x in (-1, 1)]
     stage.add([(merge([*planks, *sides]), s.floor("wood", "lacquer", "metal"))], solid=False)
     for k in range(boards):
         z = 0.325 + k * rise
@@ -344,9 +342,7 @@ def _room(s: Set) -> list[CameraPlan]:
         target = np.array([*(r.normal(0, 0.2, 2) * [w, d]), r.uniform(0.2, 1.2)])
         return origin, target
 
-    return cameras.choose(
-        rng, stage.boxes, candidate, clearance=0.4, focal=(16, 50), lens=0.25
-    )
+    return cameras.choose(rng, stage.boxes, candidate, clearance=0.4, focal=(16, 50), lens=0.25)
 
 
 _MAKERS = {"floor": _floor, "table": _table, "shelf": _shelf, "terrain": _terrain, "room": _room}

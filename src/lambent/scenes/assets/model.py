@@ -119,7 +119,9 @@ def _json(path: Path) -> dict[str, Any]:
         if not found["parts"]:
             raise ValueError("it has no parts")
     except (ValueError, KeyError, TypeError) as error:
-        raise DamagedFileError(f"the model's description cannot be read: {error}", file=path) from error
+        raise DamagedFileError(
+            f"the model's description cannot be read: {error}", file=path
+        ) from error
     return dict(found)
 
 
@@ -167,5 +169,3 @@ def _joined(parts: list[tuple[Geometry, Surface]]) -> list[tuple[Geometry, Surfa
         ]
         result.append((merge(meshes), joined))
     return result
-
-

@@ -75,7 +75,9 @@ def swatches(surfaces: list[Surface]) -> tuple[Surface, NDArray[np.float64]]:
     """
     edge = 4
     joined = {
-        key: np.concatenate([s.values[key][:1].repeat(edge, 0).repeat(edge, 1) for s in surfaces], 1)
+        key: np.concatenate(
+            [s.values[key][:1].repeat(edge, 0).repeat(edge, 1) for s in surfaces], 1
+        )
         for key in ("base_color", "roughness", "metallic")
     }
     place = (np.arange(len(surfaces)) + 0.5) / len(surfaces)
