@@ -297,7 +297,7 @@ class FileSource(MitsubaSource):
             gc.collect()
             scene = load(path, size=self.recipe.view, device=self.device).scene
             params = self.mi.traverse(scene)
-            original = {k: np.array(params[k]).copy() for k, _ in params if _varies(k)}
+            original = {k: np.array(params[k]).copy() for k, _ in params if varies(k)}
             self._open = (path, scene, original, Tripod(self.mi, scene))
         return self._open[1:]
 
@@ -308,7 +308,8 @@ _LIGHTS = ("radiance.value", "intensity.value", "irradiance.value")
 _SCALES = (".scale", ".sun_scale", ".sky_scale")
 
 
-def _varies(key: str) -> bool:
+def varies(key: str) -> bool:
+    """Whether `varied` has another value for a parameter of this name."""
     return key.endswith((*_COLOURS, *_ROUGHNESS, *_LIGHTS)) or (
         key.lower().endswith(_SCALES) and "emitter" in key.lower()
     )

@@ -38,8 +38,10 @@ from lambent.scenes.mitsuba.palette import ASSET_SLOTS, ENVIRONMENT
 from lambent.scenes.mitsuba.plan import CameraPlan, ScenePlan
 from lambent.scenes.mitsuba.stage import Part, Stage
 
-#: Settings, and how often each comes up.
-SETTINGS = {"floor": 0.24, "table": 0.26, "shelf": 0.12, "terrain": 0.14, "room": 0.24}
+#: The kind that is a whole scene of the folder (`whole`).
+WHOLE = "whole"
+#: Kinds of scenes, and how often each comes up.
+SHARES = {"floor": 0.17, "table": 0.19, "shelf": 0.1, "terrain": 0.12, "room": 0.17, WHOLE: 0.25}
 #: Roles of procedural materials that a model may be given in place of its own.
 _ROLES = (
     "wood", "lacquer", "metal", "metal", "mirror", "glass", "tinted", "frosted", "ceramic",
@@ -137,14 +139,18 @@ class Set:
         return sky.normalised(image[:, ::-1] if self.rng.random() < 0.5 else image), path.stem
 
 
-def arrangement(seed: int, library: Library, mi: Any, setting: str | None = None) -> ScenePlan:
-    """The arrangement of a seed, in a ``setting`` of `SETTINGS` or in any."""
-    if setting is None:
-        shares = np.array(list(SETTINGS.values()))
-        setting = str(generator(seed, 3).choice(list(SETTINGS), p=shares / shares.sum()))
+def kind_of(seed: int, library: Library) -> str:
+    """The kind of scene of a seed, of those that the folder has something for."""
+    kinds = [k for k in SHARES if (library.scenes if k == WHOLE else library.models)]
+    shares = np.array([SHARES[k] for k in kinds])
+    return str(generator(seed, 3).choice(kinds, p=shares / shares.sum()))
+
+
+def arrangement(seed: int, library: Library, mi: Any, setting: str) -> ScenePlan:
+    """The arrangement of a seed in one of `SHARES`, but `WHOLE`."""
     models: dict[Path, Model] = {}
     for attempt in range(20):  # a composition without four good views is put up anew
-        key = (list(SETTINGS).index(setting) + 1, attempt)
+        key = (list(SHARES).index(setting) + 1, attempt)
         wardrobe = Wardrobe(generator(seed, 5, *key), ASSET_SLOTS)
         stage = Stage(generator(seed, 4, *key), wardrobe)
         views = _MAKERS[setting](Set(library, mi, stage, models))
@@ -333,7 +339,8 @@ def _room(s: Set) -> list[CameraPlan]:
     stage.tags.add(time)
     glazed, _ = rm.shell(stage, w, d, h, time != "night")
     _strew(s, int(rng.integers(6, 13)), (0.4, 2.2), (w / 2 - 0.25, d / 2 - 0.25), np.eye(4))
-    rm.ceiling_lights(stage, w, d, h, translate(*rng.uniform(-0.6, 0.6, 2), 0))
+    x, y = rng.uniform(-0.6, 0.6, 2)
+    rm.ceiling_lights(stage, w, d, h, translate(x, y, 0))
     image = s.surroundings()[0] if rng.random() < 0.6 else None
     rm.expose(stage, time, glazed, (w, d, h), image)
 

@@ -169,6 +169,6 @@ def _licences(folder: Path, used: list[Path]) -> tuple[str, ...]:
         relative = path.relative_to(folder)
         names = [relative.as_posix(), *(p.as_posix() for p in relative.parents)]
         names.append(relative.with_suffix("").as_posix())
-        line = next((f"{n}: {told[n]}" for n in names if n in told), None)
-        found.append(line or f"unknown: {folder.name}/{relative.as_posix()}")
+        licence = next((f"{n}: {told[n]}" for n in names if n in told), None)
+        found.append(licence or f"unknown: {folder.name}/{relative.as_posix()}")
     return tuple(dict.fromkeys(found))
