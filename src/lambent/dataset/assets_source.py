@@ -13,7 +13,7 @@ import numpy as np
 
 from lambent.dataset.mitsuba_source import MitsubaScene, MitsubaSource, Places, varied, varies
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.validation import refuse_file
+from lambent.dataset.validation import refuse_asset
 from lambent.errors import OptionError, UnknownNameError
 from lambent.phases import Phases
 
@@ -31,7 +31,7 @@ class AssetSource(MitsubaSource):
                 "the recipe needs a folder of assets",
                 remedy="give --assets DIR, assets = in the recipe, or set LAMBENT_ASSETS",
             )
-        self.library = open_library(Path(recipe.assets), refuse_file)
+        self.library = open_library(Path(recipe.assets), refuse_asset)
         for kind in recipe.kinds:
             if kind not in SHARES:
                 raise UnknownNameError("kind of scene", kind, SHARES)

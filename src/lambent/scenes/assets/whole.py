@@ -41,15 +41,17 @@ class Cameras:
         origin, ends, reach = self.home[:3, 3], self._ends, self.reach
         if len(ends) < 8:
             return [(self.home, self.fov)] * count
-        found: list[tuple[float, Array, float]] = []
-        for _ in range(_TRIES):
-            a, b = ends[random.integers(len(ends), size=2)]
-            place = origin + (a - origin) * random.uniform(0.0, 0.8)
-            fov = float(np.degrees(2 * np.arctan(18 / np.exp(random.uniform(*np.log((16, 60)))))))
-            matrix = _look_at(place, b, self.up)
-            score = self._score(place, matrix, fov, reach)
+        a, b = ends[random.integers(len(ends), size=(2, _TRIES))]
+        places = origin + (a - origin) * random.uniform(0.0, 0.8, (_TRIES, 1))
+        views = [_look_at(p, t, self.up) for p, t in zip(places, b, strict=True)]
+        lengths = np.exp(random.uniform(*np.log((16, 60)), _TRIES))
+        fovs = np.degrees(2 * np.arctan(18 / lengths))
+        rays = zip(*self._rays(np.array(views), fovs), strict=True)
+        found = []
+        for matrix, fov, (stops, shapes, front) in zip(views, fovs, rays, strict=True):
+            score = _score(np.linalg.norm(stops - matrix[:3, 3], axis=1), shapes, front, reach)
             if score > 0:
-                found.append((score, matrix, fov))
+                found.append((score, matrix, float(fov)))
         found.sort(key=lambda f: -f[0])
         kept: list[tuple[Array, float]] = []
         for apart in (0.3, 0.1, 0.0):  # first well apart, then whatever is left
@@ -62,8 +64,10 @@ class Cameras:
         """Where rays from the home camera end ``(N, 3)``; sets ``reach``, how far that is."""
         origin = self.home[:3, 3]
         # The home camera sees a part of the scene; turned about the vertical, more of it.
-        turned = [_about(self.up, a) @ self.home[:3, :3] for a in np.radians((0, -50, 50))]
-        ends = np.concatenate([self._rays(origin, r, 75.0)[0] for r in turned])
+        views = np.stack([self.home] * 3)
+        for view, angle in zip(views, np.radians((0, -50, 50)), strict=True):
+            view[:3, :3] = _about(self.up, angle) @ view[:3, :3]
+        ends = self._rays(views, np.full(3, 75.0))[0].reshape(-1, 3)
         ends = ends[np.isfinite(ends).all(1)]
         if len(ends):
             self.reach = float(np.median(np.linalg.norm(ends - origin, axis=1)))
@@ -77,43 +81,38 @@ class Cameras:
         axis[k] = np.sign(up[k])
         return axis
 
-    def _rays(self, origin: Array, turn: Array, fov: float) -> tuple[Array, Array, Array]:
-        """Where a grid of rays ends ``(N, 3)``, what is hit there ``(N,)``, and whether it is seen
-        from its front; nan and 0 where nothing is hit."""
+    def _rays(self, views: Array, fovs: Array) -> tuple[Array, Array, Array]:
+        """Where a grid of rays of each of the ``views (K, 4, 4)`` ends ``(K, N, 3)``, what shape is
+        there ``(K, N)``, and whether its front is seen; nan, 0 and false where nothing is hit."""
         import drjit as dr
 
         mi = self.mi
         rows, columns = _GRID
-        half = np.tan(np.radians(fov) / 2)
         y, x = np.meshgrid(
             np.linspace(0.55, -0.55, rows), np.linspace(-0.95, 0.95, columns), indexing="ij"
         )
-        d = np.stack([x.ravel() * half, y.ravel() * half, np.ones(x.size)])
-        d = turn @ (d / np.linalg.norm(d, axis=0))
-        ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(d.astype(np.float32)))
+        half = np.tan(np.radians(fovs) / 2)[:, None]
+        d = np.stack([x.ravel() * half, y.ravel() * half, np.ones((len(views), x.size))], -1)
+        d = np.einsum("kij,knj->kni", views[:, :3, :3], d).reshape(-1, 3)
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        origins = np.repeat(views[:, :3, 3], x.size, 0)
+        ray = mi.Ray3f(
+            mi.Point3f(np.ascontiguousarray(origins.T, np.float32)),
+            mi.Vector3f(np.ascontiguousarray(d.T, np.float32)),
+        )
         hit = self.scene.ray_intersect(ray)
-        valid = np.array(hit.is_valid())
+        valid, front = hit.is_valid(), dr.dot(hit.n, ray.d) < 0
+        shapes = dr.reinterpret_array(mi.UInt32, hit.shape)
+        dr.eval(hit.p, valid, front, shapes)
+        seen = np.array(valid)
         ends = np.array(hit.p).reshape(3, -1).T.astype(np.float64)
-        ends[~valid] = np.nan
-        shapes = np.where(valid, np.array(dr.reinterpret_array(mi.UInt32, hit.shape)), 0)
-        front = np.array(dr.dot(hit.n, ray.d) < 0)
-        return ends, shapes, front & valid
-
-    def _score(self, place: Array, matrix: Array, fov: float, reach: float) -> float:
-        ends, shapes, front = self._rays(place, matrix[:3, :3], fov)
-        hit = np.isfinite(ends).all(1)
-        if hit.mean() < 0.45 or front[hit].mean() < 0.7:
-            return 0.0
-        distance = np.linalg.norm(ends[hit] - place, axis=1)
-        if (distance < 0.06 * reach).mean() > 0.05 or np.median(distance) < 0.12 * reach:
-            return 0.0
-        _, counts = np.unique(shapes[hit], return_counts=True)
-        share = counts / len(shapes)
-        if len(counts) < 2 or share.max() > 0.9:
-            return 0.0
-        spread = -float((share * np.log(share)).sum())
-        depth = float(np.log(np.percentile(distance, 90) / np.percentile(distance, 10)))
-        return spread + 0.3 * min(depth, 2)
+        ends[~seen] = np.nan
+        shape = len(views), x.size
+        return (
+            ends.reshape(*shape, 3),
+            np.where(seen, np.array(shapes), 0).reshape(shape),
+            (np.array(front) & seen).reshape(shape),
+        )
 
 
 class WholePlaces:
@@ -152,6 +151,23 @@ class WholePlaces:
 
 
 # ------------------------------------------------------------------- private
+
+
+def _score(distance: Array, shapes: Array, front: Array, reach: float) -> float:
+    """How much there is to see, by the rays of one view; 0 for a view that is no good."""
+    hit = np.isfinite(distance)
+    if hit.mean() < 0.45 or front[hit].mean() < 0.7:
+        return 0.0
+    ends = distance[hit]
+    if (ends < 0.06 * reach).mean() > 0.05 or np.median(ends) < 0.12 * reach:
+        return 0.0
+    _, counts = np.unique(shapes[hit], return_counts=True)
+    share = counts / len(shapes)
+    if len(counts) < 2 or share.max() > 0.9:
+        return 0.0
+    spread = -float((share * np.log(share)).sum())
+    depth = float(np.log(np.percentile(ends, 90) / np.percentile(ends, 10)))
+    return spread + 0.3 * min(depth, 2)
 
 
 def _look_at(origin: Array, target: Array, up: Array) -> Array:
