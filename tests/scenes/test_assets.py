@@ -332,7 +332,7 @@ def test_two_items_from_an_arrangement_and_a_whole_scene(recipe, assets, tmp_pat
 def test_without_a_folder_of_assets_the_ways_to_name_one_are_told(recipe, tmp_path, capsys):
     for extra, code, words in (
         ([], 4, "LAMBENT_ASSETS"),
-        (["--assets", str(tmp_path / "none")], 3, "no such folder"),
+        (["--assets", str(tmp_path / "none")], 2, "no such folder"),
     ):
         assert main(["dataset", "make", str(recipe), "-o", str(tmp_path / "set"), *extra]) == code
         err = capsys.readouterr().err

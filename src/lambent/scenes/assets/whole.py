@@ -44,7 +44,7 @@ class Cameras:
         a, b = ends[random.integers(len(ends), size=(2, _TRIES))]
         places = origin + (a - origin) * random.uniform(0.0, 0.8, (_TRIES, 1))
         views = [_look_at(p, t, self.up) for p, t in zip(places, b, strict=True)]
-        lengths = np.exp(random.uniform(*np.log((16, 60)), _TRIES))
+        lengths = np.exp(random.uniform(np.log(16), np.log(60), _TRIES))
         fovs = np.degrees(2 * np.arctan(18 / lengths))
         rays = zip(*self._rays(np.array(views), fovs), strict=True)
         found = []
