@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from lambent.dataset.mitsuba_source import MitsubaScene, MitsubaSource, Places, varied, varies
+from lambent.dataset.mitsuba_source import (
+    COLOURS,
+    MitsubaScene,
+    MitsubaSource,
+    Places,
+    varied,
+    varies,
+)
 from lambent.dataset.recipe import Recipe
 from lambent.dataset.validation import refuse_asset
 from lambent.errors import OptionError, UnknownNameError
@@ -82,7 +89,11 @@ class AssetSource(MitsubaSource):
             params = self.mi.traverse(scene)
             for key, _ in params:
                 if varies(key):
-                    params[key] = type(params[key])(varied(key, np.array(params[key]), random))
+                    value = np.array(params[key])
+                    other = varied(key, value, random)
+                    if key.endswith(COLOURS):  # somebody chose them: the other is half as far
+                        other = (other + value) / 2
+                    params[key] = type(params[key])(other)
                 elif key.endswith(_PICTURES) and random.random() < 0.4:
                     params[key] = type(params[key])(_tinted(np.array(params[key]), random))
             params.update()

@@ -302,7 +302,8 @@ class FileSource(MitsubaSource):
         return self._open[1:]
 
 
-_COLOURS = ("reflectance.value", "base_color.value", "specular_transmittance.value")
+#: Ends of the names of parameters that are colours of surfaces.
+COLOURS = ("reflectance.value", "base_color.value", "specular_transmittance.value")
 _ROUGHNESS = ("alpha.value", "alpha_u.value", "alpha_v.value", "roughness.value")
 _LIGHTS = ("radiance.value", "intensity.value", "irradiance.value")
 _SCALES = (".scale", ".sun_scale", ".sky_scale")
@@ -310,7 +311,7 @@ _SCALES = (".scale", ".sun_scale", ".sky_scale")
 
 def varies(key: str) -> bool:
     """Whether `varied` has another value for a parameter of this name."""
-    return key.endswith((*_COLOURS, *_ROUGHNESS, *_LIGHTS)) or (
+    return key.endswith((*COLOURS, *_ROUGHNESS, *_LIGHTS)) or (
         key.lower().endswith(_SCALES) and "emitter" in key.lower()
     )
 
@@ -318,7 +319,7 @@ def varies(key: str) -> bool:
 def varied(key: str, value: Any, random: np.random.Generator) -> Any:
     """Another value for a parameter: a colour, a roughness, the strength and tint of a light."""
     value = np.asarray(value, np.float64)
-    if key.endswith(_COLOURS):
+    if key.endswith(COLOURS):
         if random.random() < 0.4 or value.max() > 1:
             return value
         tint = random.dirichlet((2, 2, 2)) * 3 if value.size == 3 else np.ones(value.shape)

@@ -76,7 +76,8 @@ def load_model(path: Path, mi: Any) -> Model:
 def read_mesh(path: Path, mi: Any) -> Geometry:
     """A PLY or OBJ mesh by Mitsuba's own plug-in. Raises `DamagedFileError`."""
     try:
-        mesh = mi.load_dict({"type": path.suffix.lower()[1:], "filename": str(path)})
+        description = {"type": path.suffix.lower()[1:], "filename": str(path)}
+        mesh = mi.load_dict(description, parallel=False)  # one thread may be all there are
     except RuntimeError as error:
         raise DamagedFileError(f"the mesh cannot be read: {error}", file=path) from error
     params = mi.traverse(mesh)
