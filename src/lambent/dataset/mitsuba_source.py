@@ -51,11 +51,11 @@ class MitsubaSource:
         """Mitsuba, with its variant and its number of threads."""
         if self._mi is None:
             self._mi = mitsuba(self.device)
-            threads = os.environ.get("LAMBENT_THREADS")
-            if threads:
-                import drjit as dr
+            import drjit as dr
 
-                dr.set_thread_count(int(threads))
+            # Mitsuba reads an EXR by threads of its own, and would wait for ever if there were none.
+            threads = int(os.environ.get("LAMBENT_THREADS") or dr.thread_count())
+            dr.set_thread_count(max(threads, 2))
         return self._mi
 
     def versions(self) -> Mapping[str, str]:
