@@ -39,6 +39,14 @@ dataset = typer.Typer(
 )
 
 RecipeArgument = Annotated[Path, typer.Argument(metavar="RECIPE", help="A TOML file.")]
+AssetsOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--assets",
+        metavar="DIR",
+        help='Models, textures, maps and scenes for a recipe with source = "assets".',
+    ),
+]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A data set.")]
 
 
@@ -94,6 +102,7 @@ def make(
         bool,
         typer.Option("--trust", help="Check existing files by size only, not by hash."),
     ] = False,
+    assets: AssetsOption = None,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
     as_json: JsonOption = False,
@@ -110,7 +119,7 @@ def make(
     from lambent.render.plugins import allow
 
     allow(allow_plugins or ())
-    chosen = load_recipe(recipe)
+    chosen = load_recipe(recipe, assets)
     if count is not None:
         chosen = dataclasses.replace(chosen, count=count)
     if clips is not None:
@@ -161,6 +170,7 @@ def preview(
     spp: Annotated[
         int, typer.Option("--spp", metavar="N", help="Samples per pixel of a recipe's views.")
     ] = 32,
+    assets: AssetsOption = None,
     overwrite: OverwriteOption = False,
     allow_plugins: PluginsOption = None,
     device: DeviceOption = "auto",
@@ -182,7 +192,7 @@ def preview(
         if what.is_dir():
             preview_set(what, output, count, overwrite)
         else:
-            recipe = load_recipe(what)
+            recipe = load_recipe(what, assets)
             preview_recipe(recipe, output, count, spp, device, overwrite, progress.report)
     say(output)
 

@@ -163,6 +163,13 @@ def begin(folder: Path, recipe: Recipe, facts: dict[str, Any]) -> None:
                 file=folder,
                 remedy="take another folder with -o, or the old recipe",
             )
+        now = facts["versions"].get("assets")
+        if any(v.get("assets") != now for v in old.get("versions", [])):
+            raise OptionError(
+                "was made from another folder of assets, or it has changed since",
+                file=folder,
+                remedy="take another folder for the set with -o, or the old assets",
+            )
         versions = [v for v in old.get("versions", []) if v != facts["versions"]]
         facts = {**old, "versions": [*versions, facts["versions"]], "recipe": recipe.as_dict()}
         if facts == old:

@@ -22,7 +22,7 @@ from lambent.dataset.folder import add_item, begin, line_of, write_lines, writin
 from lambent.dataset.plan import CLIP, STILL, jobs
 from lambent.dataset.produce import Failed, Made
 from lambent.dataset.recipe import Recipe
-from lambent.dataset.source import open_source
+from lambent.dataset.source import Source, open_source
 from lambent.errors import OptionError
 from lambent.interrupts import stop_if_came, watched
 from lambent.phases import Phases
@@ -102,8 +102,10 @@ def make(
     start = time.monotonic()
     outcome = Outcome(place)
     with watched(), writing(place):
-        begin(place, recipe, _facts(recipe, device))
-        lines, outcome.notes = settle(place, recipe, trust, progress)
+        source = open_source(recipe, device, Phases())
+        begin(place, recipe, _facts(recipe, source))
+        lines, notes = settle(place, recipe, trust, progress)
+        outcome.notes = [*getattr(source, "notes", ()), *notes]
         write_lines(place, lines)
         lowest = {STILL: first, CLIP: first_clip}
         missing = {
@@ -169,13 +171,12 @@ def _collect(
             break
 
 
-def _facts(recipe: Recipe, device: str) -> dict[str, Any]:
-    """What the manifest says beside the recipe. Raises `OptionError` for an unknown source."""
+def _facts(recipe: Recipe, source: Source) -> dict[str, Any]:
+    """What the manifest says beside the recipe."""
     import numpy
 
     from lambent import __version__
 
-    source = open_source(recipe, device, Phases())
     versions = {
         "lambent": __version__,
         "numpy": numpy.__version__,

@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 FEATURES = "light,features"
 
 
-class _MitsubaSource:
+class MitsubaSource:
     """What both sources share: the renderer, started when it is first needed."""
 
     licences: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
     def __init__(self, recipe: Recipe, device: str, phases: Phases) -> None:
         self.recipe, self.device, self.phases = recipe, device, phases
@@ -50,11 +51,11 @@ class _MitsubaSource:
         """Mitsuba, with its variant and its number of threads."""
         if self._mi is None:
             self._mi = mitsuba(self.device)
-            threads = os.environ.get("LAMBENT_THREADS")
-            if threads:
-                import drjit as dr
+            import drjit as dr
 
-                dr.set_thread_count(int(threads))
+            # Mitsuba reads an EXR by threads of its own, and would wait for ever if there were none.
+            threads = int(os.environ.get("LAMBENT_THREADS") or dr.thread_count())
+            dr.set_thread_count(max(threads, 2))
         return self._mi
 
     def versions(self) -> Mapping[str, str]:
@@ -70,7 +71,7 @@ class _MitsubaSource:
         return found
 
 
-class ProceduralSource(_MitsubaSource):
+class ProceduralSource(MitsubaSource):
     """Random scenes (`lambent.scenes.mitsuba`); the recipe's kinds, or all in their shares."""
 
     licences = ("procedural scenes: made by Lambent, CC0-1.0",)
@@ -102,11 +103,11 @@ class ProceduralSource(_MitsubaSource):
             size = self.recipe.view
             scene = build(plan, self.mi, 0, size)
         about = {"kind": plan.kind, "seed": seed, "triangles": plan.triangles}
-        return MitsubaScene(self, scene, about, len(plan.cameras), frames, _Places(plan))
+        return MitsubaScene(self, scene, about, len(plan.cameras), frames, Places(plan))
 
 
 @dataclass(frozen=True)
-class _Places:
+class Places:
     """Cameras of a plan: lens of each, and an animation that starts with the frame before."""
 
     plan: ScenePlan
@@ -146,7 +147,7 @@ class MitsubaScene:
 
     def __init__(
         self,
-        source: _MitsubaSource,
+        source: MitsubaSource,
         scene: Any,
         about: Mapping[str, Any],
         cameras: int,
@@ -254,7 +255,7 @@ class MitsubaView:
 # ---------------------------------------------------------------- scenes from files
 
 
-class FileSource(_MitsubaSource):
+class FileSource(MitsubaSource):
     """Scene files (XML), with cameras moved, and colours, roughness and lights changed.
 
     A seed chooses the variation; ``vary = false`` in the recipe moves the camera only.
@@ -266,7 +267,7 @@ class FileSource(_MitsubaSource):
             raise OptionError(
                 "the recipe names no scene", remedy='add a line: scenes = ["kitchen/scene.xml"]'
             )
-        self._open: tuple[str, Any, dict[str, Any], _Tripod] | None = None
+        self._open: tuple[str, Any, dict[str, Any], Tripod] | None = None
 
     def scene(self, seed: int, job: int, frames: int) -> MitsubaScene:
         """A variation of one of the files; they take turns."""
@@ -287,7 +288,7 @@ class FileSource(_MitsubaSource):
         count = self.recipe.cameras_per_scene
         return MitsubaScene(self, scene, about, count, frames, tripod.at(seed))
 
-    def _loaded(self, path: str) -> tuple[Any, dict[str, Any], _Tripod]:
+    def _loaded(self, path: str) -> tuple[Any, dict[str, Any], Tripod]:
         """The scene of a file, and what varies as the file has it: values, and the camera."""
         from lambent.render.scene import load
 
@@ -296,19 +297,21 @@ class FileSource(_MitsubaSource):
             gc.collect()
             scene = load(path, size=self.recipe.view, device=self.device).scene
             params = self.mi.traverse(scene)
-            original = {k: np.array(params[k]).copy() for k, _ in params if _varies(k)}
-            self._open = (path, scene, original, _Tripod(self.mi, scene))
+            original = {k: np.array(params[k]).copy() for k, _ in params if varies(k)}
+            self._open = (path, scene, original, Tripod(self.mi, scene))
         return self._open[1:]
 
 
-_COLOURS = ("reflectance.value", "base_color.value", "specular_transmittance.value")
+#: Ends of the names of parameters that are colours of surfaces.
+COLOURS = ("reflectance.value", "base_color.value", "specular_transmittance.value")
 _ROUGHNESS = ("alpha.value", "alpha_u.value", "alpha_v.value", "roughness.value")
 _LIGHTS = ("radiance.value", "intensity.value", "irradiance.value")
 _SCALES = (".scale", ".sun_scale", ".sky_scale")
 
 
-def _varies(key: str) -> bool:
-    return key.endswith((*_COLOURS, *_ROUGHNESS, *_LIGHTS)) or (
+def varies(key: str) -> bool:
+    """Whether `varied` has another value for a parameter of this name."""
+    return key.endswith((*COLOURS, *_ROUGHNESS, *_LIGHTS)) or (
         key.lower().endswith(_SCALES) and "emitter" in key.lower()
     )
 
@@ -316,7 +319,7 @@ def _varies(key: str) -> bool:
 def varied(key: str, value: Any, random: np.random.Generator) -> Any:
     """Another value for a parameter: a colour, a roughness, the strength and tint of a light."""
     value = np.asarray(value, np.float64)
-    if key.endswith(_COLOURS):
+    if key.endswith(COLOURS):
         if random.random() < 0.4 or value.max() > 1:
             return value
         tint = random.dirichlet((2, 2, 2)) * 3 if value.size == 3 else np.ones(value.shape)
@@ -331,7 +334,7 @@ def varied(key: str, value: Any, random: np.random.Generator) -> Any:
     return value * strength
 
 
-class _Tripod:
+class Tripod:
     """Random cameras around a file's own: turned, moved, with other focal lengths."""
 
     def __init__(self, mi: Any, scene: Any) -> None:
@@ -343,7 +346,7 @@ class _Tripod:
         self.seed = 0
         self.reach = self._reach(mi, scene)
 
-    def at(self, seed: int) -> _Tripod:
+    def at(self, seed: int) -> Tripod:
         """The cameras of a variation."""
         other = copy.copy(self)
         other.seed = seed

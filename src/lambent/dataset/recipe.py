@@ -27,6 +27,8 @@ from lambent.settings import Range, check_ranges, read_toml, record_from
 
 #: A set may grow: these keys change how much there is, not what an item holds.
 GROWING = ("count", "clip_count")
+#: These keys name a place, and no more.
+PLACES = ("name", "assets")
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Recipe:
     ``target_over_level`` times the highest level, then more until its expected relMSE is
     ``target_error`` or it has ``target_most`` spp. ``uniform``: share of the crops that are chosen
     without looking at what is in them. ``vary``: change materials and lights of scene files.
+    ``assets``: the folder of models, maps and scenes for the source of that name.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Recipe:
     pilot_scale: float = 0.5
     uniform: float = 0.3
     vary: bool = True
+    assets: str = ""
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -98,7 +102,7 @@ class Recipe:
     @property
     def essence(self) -> str:
         """A hash of all that decides what an item holds; the same for a set that has grown."""
-        settings = {k: v for k, v in self.as_dict().items() if k not in (*GROWING, "name")}
+        settings = {k: v for k, v in self.as_dict().items() if k not in (*GROWING, *PLACES)}
         return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
 
     def as_dict(self) -> dict[str, Any]:
@@ -141,8 +145,13 @@ _RANGES: tuple[Range, ...] = (
 )
 
 
-def load_recipe(path: str | os.PathLike[str]) -> Recipe:
+def load_recipe(
+    path: str | os.PathLike[str], assets: str | os.PathLike[str] | None = None
+) -> Recipe:
     """The recipe in a TOML file; scene files are found from the recipe's own folder.
+
+    ``assets``: a folder of assets in place of the recipe's; else ``LAMBENT_ASSETS`` fills in where
+    a recipe with ``source = "assets"`` has none.
 
     Raises `FileError` (missing, no TOML), `OptionError` (unknown key, value that makes no sense,
     a validation scene).
@@ -152,7 +161,7 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
     recipe = Recipe.from_dict(settings, path)
     found = []
     for scene in recipe.scenes:
-        place = Path(os.path.expandvars(scene)).expanduser()
+        place = _filled_in(scene)
         if not place.is_absolute():
             place = path.parent / place
         if not place.exists():
@@ -163,4 +172,13 @@ def load_recipe(path: str | os.PathLike[str]) -> Recipe:
             )
         refuse_scene(place, path)
         found.append(str(place.resolve()))
-    return dataclasses.replace(recipe, scenes=tuple(found))
+    folder = str(Path(assets).resolve()) if assets is not None else ""
+    if not folder and recipe.assets:
+        folder = str((path.parent / _filled_in(recipe.assets)).resolve())
+    elif not folder and recipe.source == "assets" and os.environ.get("LAMBENT_ASSETS"):
+        folder = str(Path(os.environ["LAMBENT_ASSETS"]).expanduser().resolve())
+    return dataclasses.replace(recipe, scenes=tuple(found), assets=folder)
+
+
+def _filled_in(text: str) -> Path:
+    return Path(os.path.expandvars(text)).expanduser()

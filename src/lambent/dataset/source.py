@@ -109,6 +109,7 @@ SOURCES = Registry(
     {
         "procedural": "lambent.dataset.mitsuba_source:ProceduralSource",
         "scenes": "lambent.dataset.mitsuba_source:FileSource",
+        "assets": "lambent.dataset.assets_source:AssetSource",
         "cycles": "lambent.dataset.cycles_source:RandomSource",
         "blend": "lambent.dataset.cycles_source:BlendSource",
     },

@@ -16,7 +16,7 @@ import numpy as np
 from lambent.scenes.mitsuba.geometry import Geometry, scale
 from lambent.scenes.mitsuba.lamps import light_mesh
 from lambent.scenes.mitsuba.metals import METALS
-from lambent.scenes.mitsuba.palette import AREA, LIGHTS, SHAPES, SLOTS, TEXTURE
+from lambent.scenes.mitsuba.palette import AREA, LIGHTS, SHAPES, TEXTURE
 from lambent.scenes.mitsuba.plan import CameraPlan, EmitterPlan, ScenePlan, as_float32
 
 #: A lens radius in metres that is as good as a pinhole.
@@ -215,7 +215,7 @@ def _bsdfs(plan: ScenePlan, mi: Any) -> dict[Any, Any]:
     """All slots of the palette: lists by structure, and by the plan's numbers."""
     numbered: dict[int, Any] = {}
     result: dict[Any, Any] = {"by number": numbered}
-    for structure, slots in SLOTS.items():
+    for structure, slots in plan.slots.items():
         own = [i for i, m in enumerate(plan.materials) if m.structure == structure]
         if len(own) > slots:
             raise AssertionError(f"{len(own)} materials of structure {structure}")
@@ -257,7 +257,8 @@ def _principled(mi: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Flags of this plug-in are off where a value is exactly zero: hence the small ones."""
 
     def number(key: str, default: float) -> float:
-        return max(float(values.get(key, default)), 1e-4)
+        value = values.get(key, default)
+        return max(float(value), 1e-4) if np.ndim(value) == 0 else default
 
     return {
         "type": "principled",
@@ -304,14 +305,17 @@ def _bsdf(mi: Any, structure: str, values: Mapping[str, Any]) -> dict[str, Any]:
             "inner": _principled(mi, values),
         }
         return _two_sided(bump)
-    if structure == "normalmap":
+    if structure in ("normalmap", "pbr"):
         normals = values.get("normals")
         if normals is None:
             normals = np.full((4, 4, 3), (128, 128, 255), np.uint8)
+        inner = _principled(mi, values)
+        if structure == "pbr":
+            inner["metallic"] = _texture(mi, values, "metallic", 1)
         mapped = {
             "type": "normalmap",
             "normalmap": _texture(mi, {"normals": normals}, "normals", 3),
-            "inner": _principled(mi, values),
+            "inner": inner,
         }
         return _two_sided(mapped)
     if structure == "diffuse":

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import colorsys
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -54,8 +55,9 @@ def colour_scheme(rng: np.random.Generator) -> list[Colour]:
 class Wardrobe:
     """The materials of one scene. ``rng`` is used up by it; ``made`` is the result."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, slots: Mapping[str, int] = SLOTS) -> None:
         self.rng = rng
+        self.slots = slots
         self.scheme = colour_scheme(rng)
         self.woods = [_WOODS[i] for i in rng.choice(len(_WOODS), 2, replace=False)]
         self.made: list[MaterialPlan] = []
@@ -73,6 +75,14 @@ class Wardrobe:
     def plain(self, structure: str) -> int:
         """The number of a material of a structure without values, such as ``null``."""
         return self._add(structure, structure)
+
+    def own(self, name: str, structure: str, metres: float = 1.0, **values: Any) -> int:
+        """The number of a new material with these values; `left` says whether there is room."""
+        return self._add(name, structure, metres, **values)
+
+    def left(self, structure: str) -> int:
+        """How many more materials of a structure the palette has room for."""
+        return self.slots[structure] - sum(m.structure == structure for m in self.made)
 
     def metres(self, number: int) -> float:
         """The side of the texture of a material, in metres (1 where it does not matter)."""
@@ -98,7 +108,7 @@ class Wardrobe:
 
     def _add(self, role: str, structure: str, metres: float = 1.0, **values: Any) -> int:
         have = [i for i, m in enumerate(self.made) if m.structure == structure]
-        if len(have) >= SLOTS[structure]:
+        if len(have) >= self.slots[structure]:
             if structure != "principled" and structure in ("bump", "normalmap"):
                 return self._add(role, "principled", metres, **values)
             return have[int(self.rng.integers(len(have)))]

@@ -30,6 +30,16 @@ SLOTS: dict[str, int] = {
     "null": 1,  # the skin of a medium
 }
 
+#: The same for scenes with real models: many more surfaces, each with pictures of its own.
+ASSET_SLOTS: dict[str, int] = {
+    **SLOTS,
+    "pbr": 24,  # twosided(normalmap([3], principled(base_color [3], roughness [1], metallic [1])))
+    "cards": 8,
+    "dielectric": 4,
+    "thindielectric": 2,
+    "roughdielectric": 3,
+}
+
 #: Kinds of emitters but the environment (always one), and how many of each a scene has. The face
 #: count of an area light is part of the structure, so that each of these has its own mesh.
 LIGHTS: dict[str, int] = {

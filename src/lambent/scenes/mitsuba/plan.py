@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from lambent.errors import OptionError
 from lambent.scenes.mitsuba.geometry import Array, Geometry
+from lambent.scenes.mitsuba.palette import SLOTS
 
 #: Half the width of a 35 mm frame, in millimetres: focal lengths are given for it.
 HALF_FRAME = 18.0
@@ -107,7 +108,10 @@ class CameraPlan:
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """A scene: see the module. ``tags`` say what it holds (``living``, ``night``, ``medium`` …)."""
+    """A scene: see the module. ``tags`` say what it holds (``living``, ``night``, ``medium`` …).
+
+    ``slots``: how many materials of each structure the palette has.
+    """
 
     kind: str
     seed: int
@@ -118,6 +122,7 @@ class ScenePlan:
     media: tuple[MediumPlan, ...] = ()
     frames: int = 1
     tags: tuple[str, ...] = field(default=())
+    slots: Mapping[str, int] = field(default_factory=lambda: SLOTS)
 
     @property
     def shape_ids(self) -> tuple[str, ...]:
@@ -171,7 +176,9 @@ class ScenePlan:
         because sines of different processors differ in the last bit.
         """
         state = hashlib.sha256()
-        for value in _flat(dataclasses.asdict(dataclasses.replace(self, shapes=(), cameras=()))):
+        rest = dataclasses.asdict(dataclasses.replace(self, shapes=(), cameras=()))
+        del rest["slots"]
+        for value in _flat(rest):
             state.update(value)
         for shape in self.shapes:
             g = shape.geometry

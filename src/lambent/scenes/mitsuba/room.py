@@ -369,7 +369,8 @@ def _standing_lamp(stage: Stage, pose: Array, height: float, radius: float) -> N
     stage.light("bulb", "lamps", colour, at, (r, r, r))
 
 
-def _ceiling_lights(stage: Stage, w: float, d: float, h: float, at: Array) -> None:
+def ceiling_lights(stage: Stage, w: float, d: float, h: float, at: Array) -> None:
+    """Lamps of one style under the ceiling, over ``at (4, 4)``; lit if the stage says so."""
     rng = stage.rng
     style = str(rng.choice(["pendant", "panels", "spots", "string"], p=[0.4, 0.25, 0.25, 0.1]))
     if style == "pendant":
@@ -430,8 +431,8 @@ def room(stage: Stage) -> list[CameraPlan]:
     middle = _THEMES[theme](stage, floor, h)
     _along_walls(stage, floor, h)
     _on_walls(stage, w, d, open_sides)
-    _ceiling_lights(stage, w, d, h, middle)
-    _expose(stage, time, glazed, (w, d, h))
+    ceiling_lights(stage, w, d, h, middle)
+    expose(stage, time, glazed, (w, d, h))
     fog = _haze(stage, w, d, h) if rng.random() < 0.04 else None
     low = np.array([-w / 2, -d / 2, 0])
 
@@ -511,8 +512,14 @@ def _on_walls(stage: Stage, w: float, d: float, open_sides: set[int]) -> None:
             stage.add(fu.picture(rng, pw, ph), at)
 
 
-def _expose(stage: Stage, time: str, glazed: float, size: tuple[float, float, float]) -> None:
-    """The surroundings, and the strength of everything."""
+def expose(
+    stage: Stage,
+    time: str,
+    glazed: float,
+    size: tuple[float, float, float],
+    outside_image: Array | None = None,
+) -> None:
+    """The surroundings (a map of one's own by day), and the strength of everything."""
     rng = stage.rng
     w, d, h = size
     surface = 2 * (w * d + w * h + d * h)
@@ -530,6 +537,8 @@ def _expose(stage: Stage, time: str, glazed: float, size: tuple[float, float, fl
         scale_out = inside / (share * outside)
     if inside == 0 and time == "night":
         image = sky.daylight(rng, sky.sun_direction(rng, 12, 50))
+    if outside_image is not None and time != "night":
+        image = outside_image
     stage.environment(image, scale_out)
     level = (outside * scale_out * 0.8 + inside) * 0.55 / (np.pi * surface * 0.45)
     stage.scale_lights(2.6 * exposure.wish(rng) / max(level, 1e-9))

@@ -163,5 +163,5 @@ class Stage:
         shapes = (*self.shining, *fixed, *movable, *self._filled)
         return ScenePlan(
             kind, seed, shapes, tuple(materials), tuple(self.emitters), tuple(cameras),
-            tuple(self.media), tags=tuple(sorted(self.tags)),
+            tuple(self.media), tags=tuple(sorted(self.tags)), slots=self.wardrobe.slots,
         )  # fmt: skip
