@@ -18,7 +18,8 @@ belong there); *accepted* was done; *lost bytes* differ where they had to stay, 
 half-written files; a *crash* is the end of a process, any other exception, a wrong exit code; a
 *hang* is a try beyond ``--limit`` seconds. Each try depends on the seed, its kind and its number
 alone (only kills on the clock, too), and what fails is printed with the line that repeats it. Tries
-on files run in processes with a limit of memory (``--memory``), each of which tries many.
+on files run in processes with a limit of memory (``--memory``), each of which tries many. Ctrl-C
+ends a kind: its row counts the tries that were made.
 
 Usage: python benchmarks/attack.py [--seed 1] [--scale 0.01] [--only exr,kills] [--jobs 2]
     [--number 17] [--keep DIR]; ends with 1 where a crash, a hang or a lost byte was counted.
@@ -123,6 +124,8 @@ class Tally:
         if failed:
             what = f"{lost} bytes lost" if lost else end
             self.failures.append(f"{what}, number {number}: {words.strip()[-1500:]}")
+        if failed or self.tries % 100 == 0:
+            print(f"{self.tries} tries, {len(self.failures)} failed", end="\r", file=sys.stderr)
         return failed
 
 
@@ -158,8 +161,15 @@ def in_turns(jobs: int, numbers: list[int], work: Callable[[int, Iterator[int]],
     threads = [threading.Thread(target=run, args=(n,)) for n in range(min(jobs, len(numbers)))]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        for thread in threads:
+            thread.join()
+    except KeyboardInterrupt:  # what was counted is a row all the same
+        with contextlib.suppress(queue.Empty):
+            while True:
+                todo.get_nowait()
+        for thread in threads:
+            thread.join()
     if errors:
         raise errors[0]
 
