@@ -53,7 +53,7 @@ class MitsubaSource:
             self._mi = mitsuba(self.device)
             import drjit as dr
 
-            # Mitsuba reads an EXR by threads of its own, and would wait for ever if there were none.
+            # Mitsuba reads an EXR with other threads, and with none would wait for ever.
             threads = int(os.environ.get("LAMBENT_THREADS") or dr.thread_count())
             dr.set_thread_count(max(threads, 2))
         return self._mi

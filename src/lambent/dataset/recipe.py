@@ -4,7 +4,7 @@
 
     name = "rooms"
     seed = 1
-    source = "procedural"      # procedural, scenes, cycles, blend, or a "module:attribute"
+    source = "procedural"      # procedural, scenes, assets, cycles, blend, or a "module:attribute"
     count = 4000               # crops
     clip_count = 300           # short moving clips
 
