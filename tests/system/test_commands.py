@@ -389,3 +389,33 @@ def test_doctor_says_when_the_machine_is_slow(monkeypatch):
     check = doctor._oidn_speed(0.0)
     assert check.state == "note"
     assert check.remedy
+
+
+def test_a_gap_in_a_sequence_ends_with_the_code_of_a_missing_file(tmp_path, capsys):
+    for number in (1, 3):
+        renders.write(tmp_path / f"shot.{number:04d}.exr")
+    pattern = str(tmp_path / "shot.####.exr")
+    assert main(["denoise", pattern, "-o", str(tmp_path / "out"), *FAST]) == 2
+    assert "1 missing" in capsys.readouterr().err
+
+
+def test_dataset_alone_prints_its_help(capsys):
+    text = run(capsys, "dataset")
+    assert "Commands:" in text
+    assert "verify" in text
+
+
+def test_a_denoised_file_is_recognised_and_its_statistics_are_not_used(tmp_path, capsys):
+    arrays = renders.channels()
+    for name in ("variance", "half_a", "half_b"):
+        arrays |= {f"colour.{name}.{c}": arrays[c] for c in "RGB"}
+    noisy = renders.write(tmp_path / "noisy.exr", arrays)
+    assert run_json(capsys, "denoise", noisy, *FAST)["notes"] == []
+    clean = tmp_path / "noisy_clean.exr"
+    (note,) = run_json(capsys, "inspect", clean)["notes"]
+    assert "denoised by Lambent before (model oidn-fast)" in note
+    roles = {layer["name"]: layer["role"] for layer in run_json(capsys, "inspect", clean)["layers"]}
+    assert roles["colour.half_a"] == roles["colour.variance"] == "other"
+    assert note in run_json(capsys, "denoise", clean, *FAST)["notes"]
+    code = main(["denoise", str(clean), "--model", "nfor", "-o", str(tmp_path / "again.exr")])
+    assert code == 3, "the half buffers of the noisy picture were taken"

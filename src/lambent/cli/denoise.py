@@ -347,8 +347,7 @@ def _run_many(
     remark(", ".join(summary))
     if failed:
         return failed[0][1].exit_code
-    # Whoever names a range wants all of it: a script must see that frames were not there.
-    return FileError.exit_code if missing and frames is not None else 0
+    return FileError.exit_code if missing else 0  # a script must see that frames were not there
 
 
 def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:

@@ -39,7 +39,7 @@ def inspect(
     ],
     mapping: MapOption = None,
     spp: SppOption = None,
-    report: Annotated[str | None, report_option("Write a page of all layers")] = None,
+    report: Annotated[str | None, report_option("Write a page of all layers", "the file")] = None,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from lambent.denoise.dncnn import is_display
 from lambent.denoise.learned import Lambent
 from lambent.device import Device
 from lambent.filters.denoiser import About, Denoiser, create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.ldr import is_display
 from lambent.frame.noise import noise_of
 
 

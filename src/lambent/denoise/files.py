@@ -30,16 +30,11 @@ from lambent.denoise.pipeline import (
 )
 from lambent.errors import FileError, OutputError
 from lambent.frame.atomic import check_target, refuse_stdout
-from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.opening import exists, refuse_special, unreadable
 from lambent.frame.role import Role, Stat
+from lambent.frame.stamp import CHOSEN, STAMP
 from lambent.progress import Progress
-
-#: The EXR attribute that holds the settings a file was made with.
-STAMP = "lambent:settings"
-#: Its entry for the model that was chosen for the file; the other entries are what was asked for.
-CHOSEN = "chosen"
 
 #: What the default output's name has more than the input's.
 SUFFIX = "_clean"
@@ -377,9 +372,10 @@ def _outlined(frame: Frame, settings: Settings) -> dict[str, Any]:
 def write_preview(path: Path, before: Frame, after: Frame) -> Path:
     """A PNG with the input on the left and the result on the right, at one exposure."""
     from lambent.frame.atomic import atomic
+    from lambent.frame.ldr import exposure_of
     from lambent.frame.tonemap import to_png
 
-    exposure = auto_exposure(after.colour)
+    exposure = exposure_of(after)
     white = np.full((after.height, max(2, after.width // 200), 3), 1 / exposure, np.float32)
     pair = np.concatenate([before.colour, white, after.colour], axis=1)
     with atomic(path, overwrite=True) as file:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from lambent.frame.dialects.images import shown
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
+from lambent.frame.luma import to_rgb, weights
 from lambent.frame.role import Role, Space, Stat
 from lambent.frame.sums import LayerSum, layer_sums
 from lambent.frame.suspicion import LOSSY, Suspicion, suspicions
@@ -184,8 +185,12 @@ def _part(part: ExrPart) -> PartReport:
 
 
 def _layer(exr: ExrFile, found: Found) -> LayerReport:
+    from lambent.frame.exr.frame import is_luma
+
     part = exr.parts[found.part]
     planes = [exr.parts[index].channels[name].data for index, name in found.channels]
+    if is_luma(found):  # chroma is negative as a rule; the colour that it stands for counts
+        planes = [to_rgb(planes[0], planes[1], planes[2], weights(part.header))]
     return LayerReport(
         name=found.name,
         role=found.role,
