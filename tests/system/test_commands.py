@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -419,3 +420,52 @@ def test_a_denoised_file_is_recognised_and_its_statistics_are_not_used(tmp_path,
     assert note in run_json(capsys, "denoise", clean, *FAST)["notes"]
     code = main(["denoise", str(clean), "--model", "nfor", "-o", str(tmp_path / "again.exr")])
     assert code == 3, "the half buffers of the noisy picture were taken"
+
+
+def test_an_archive_of_lambent_is_named_as_one(tmp_path, capsys):
+    archive = tmp_path / "room.lambent"
+    with zipfile.ZipFile(archive, "w") as made:
+        made.writestr("card.json", "{}")
+    for command in ("denoise", "inspect"):
+        assert main([command, str(archive)]) == 2
+        text = capsys.readouterr().err
+        assert "is a solution or a model of Lambent, not a picture" in text
+        assert "room_clean" not in text
+    picture = renders.write(tmp_path / "room.exr")
+    assert main(["view", str(picture)]) == 2
+    assert "is an OpenEXR image, not a Lambent solution" in capsys.readouterr().err
+    assert main(["view", str(tmp_path / "nope.lambent")]) == 2
+    assert "check the path" in capsys.readouterr().err
+
+
+def test_inspect_takes_one_file_and_says_so(noisy, capsys):
+    assert main(["inspect", str(noisy.with_name("shot.####.exr"))]) == 4
+    assert "inspect takes one file" in capsys.readouterr().err
+
+
+def test_the_noisy_original_is_not_offered_for_replacement(noisy, capsys):
+    assert main(["denoise", str(noisy), "-o", str(noisy)]) == 2
+    text = capsys.readouterr().err
+    assert "the output is the input itself" in text
+    assert "--overwrite" not in text
+
+
+def test_parameters_need_a_model_that_has_them(noisy, capsys):
+    assert main(["denoise", str(noisy), "--set", "radius=5"]) == 4
+    assert "name the model that has it" in capsys.readouterr().err
+    assert main(["denoise", str(noisy), "--model", "nlm", "--set", "radus=5"]) == 4
+    assert "'nlm' has no parameter 'radus'" in capsys.readouterr().err
+
+
+def test_a_missing_half_buffer_is_called_one(noisy, capsys):
+    assert main(["denoise", str(noisy), "--model", "nfor"]) == 3
+    assert "first half buffer of the beauty" in capsys.readouterr().err
+
+
+def test_a_picture_for_the_screen_gets_no_advice_for_renders(tmp_path, capsys):
+    from PIL import Image
+
+    pixels = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "photo.png")
+    names = {s["name"] for s in run_json(capsys, "inspect", tmp_path / "photo.png")["suspicions"]}
+    assert not names & {"no guides", "tone-mapped"}

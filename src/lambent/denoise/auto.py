@@ -65,8 +65,8 @@ class Auto(Denoiser):
 
     about: ClassVar[About] = About(
         name="auto",
-        title="The best one for the file at hand: lambent, lambent-oidn or oidn",
-        paper="docs/notes/denoiser",
+        title="The better of lambent and lambent-oidn for the file at hand; oidn for photographs",
+        paper="none: it chooses by the file",
         group="work",
         uses=Lambent.about.uses,
         cost="that of the model it takes",

@@ -294,11 +294,12 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
 
     A directory of which only the last part is missing is no fault: `save` will make it.
     """
-    from lambent.frame.files import check_ending
+    from lambent.frame.files import check_ending, check_source
 
     if not exists(source):
         raise unreadable(source, FileNotFoundError())
     refuse_special(source)
+    check_source(source)
     if os.path.isdir(output):
         raise OutputError(
             "the output is a directory",
@@ -311,10 +312,14 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
         check_target(parent)  # whether the directory can be made
         return
     if not overwrite and os.path.exists(output):
+        if output.samefile(source):
+            raise OutputError(
+                "the output is the input itself",
+                file=output,
+                remedy="write elsewhere with -o NAME, and keep the noisy original",
+            )
         raise OutputError(
-            "the output is the input itself"
-            if output.samefile(source)
-            else "this file exists already",
+            "exists already",
             file=output,
             remedy="write elsewhere with -o NAME, or allow it with --overwrite",
         )

@@ -141,7 +141,7 @@ def inspect_file(
     # Measured first: this decodes every part once and keeps it, so that frames only copy.
     layers = tuple(_layer(exr, layer) for layer in identified.layers)
     layers += tuple(_of_layer(layer) for layer in main.all_layers() if is_guide(layer))
-    found = [s for view, frame in frames.items() for s in _seen(frame, view, main.view)]
+    found = _once([s for view, frame in frames.items() for s in _seen(frame, view, main.view)])
     window = exr.parts[_first(identified).part].data_window if identified.layers else None
     return Inspection(
         path=str(path),
@@ -246,6 +246,12 @@ def _seen(frame: Frame, view: str, main: str) -> list[Suspicion]:
     return [
         dataclasses.replace(one, explanation=f"View '{view}': {one.explanation}") for one in found
     ]
+
+
+def _once(found: list[Suspicion]) -> list[Suspicion]:
+    """All of them, but the want of guides of the first view only: its advice is for the file."""
+    first = next((one for one in found if one.name == "no guides"), None)
+    return [one for one in found if one.name != "no guides" or one is first]
 
 
 def _lossy(exr: ExrFile, identified: Identified) -> list[Suspicion]:
