@@ -100,7 +100,7 @@ def read_archive(path: str | os.PathLike[str], kind: str) -> Archive:
             reason = str(error) or type(error).__name__
             raise DamagedFileError(f"is damaged: {reason}", file=path, remedy=remedy) from None
         picture = kind_at(path)
-        words = f"is {picture}, not a Lambent {what}" if picture else f"is not a Lambent {what}"
+        words = f"is not a Lambent {what}" + (f", but {picture}" if picture else "")
         raise FileError(words, file=path, remedy=remedy) from None
     except OSError as error:
         raise FileError(

@@ -47,7 +47,7 @@ class Settings:
         choices=("samples", "factors"), metavar="samples|factors",
     )  # fmt: skip
     tolerance: float = setting(
-        1e-6, "End at this residual, relative to the first light.", low=1e-16, high=0.999,
+        1e-6, "Stop at this residual, relative to the first light.", low=1e-16, high=0.999,
         metavar="X", resumed="anew",
     )  # fmt: skip
     steps: int = setting(
