@@ -361,7 +361,7 @@ def _print_line(result: Result, told: set[str]) -> None:
     """One line a frame; a note is told once a sequence, though its figures differ in each frame."""
     new = [line for line in result.notes if _without_figures(line) not in told]
     told.update(map(_without_figures, new))
-    remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
+    remarks = "".join(f"; {line.rstrip('.')}" for line in (*result.repairs, *new))
     say(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}")
 
 
