@@ -190,7 +190,7 @@ def test_what_is_no_regular_file(tmp_path):
         read_archive(tmp_path / "pipe.lambent", "field")
     with pytest.raises(FileError, match="folder"):
         read_archive(tmp_path, "field")
-    with pytest.raises(FileError, match="no such field"):
+    with pytest.raises(FileError, match="no such file"):
         read_archive(tmp_path / "none.lambent", "field")
 
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from lambent.errors import DamagedFileError, FileError
 from lambent.frame.atomic import atomic
 from lambent.frame.limits import check_bytes
-from lambent.frame.magic import begins_as
+from lambent.frame.magic import begins_as, kind_at
 from lambent.settings import fits, parse_json, shortened, wrong_key
 
 SUFFIX = ".lambent"
@@ -91,7 +91,7 @@ def read_archive(path: str | os.PathLike[str], kind: str) -> Archive:
             card = _card(archive, infos, path, kind)
             data = {name: archive.read(info) for name, info in infos.items() if name != CARD}
     except FileNotFoundError:
-        raise FileError(f"there is no such {what}", file=path, remedy=remedy) from None
+        raise FileError("there is no such file", file=path, remedy="check the path") from None
     except (
         zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError, struct.error,
         RecursionError,
@@ -99,7 +99,9 @@ def read_archive(path: str | os.PathLike[str], kind: str) -> Archive:
         if begins_as(path, "zip"):
             reason = str(error) or type(error).__name__
             raise DamagedFileError(f"is damaged: {reason}", file=path, remedy=remedy) from None
-        raise FileError(f"is not a Lambent {what}", file=path, remedy=remedy) from None
+        picture = kind_at(path)
+        words = f"is not a Lambent {what}" + (f", but {picture}" if picture else "")
+        raise FileError(words, file=path, remedy=remedy) from None
     except OSError as error:
         raise FileError(
             f"cannot be read: {error.strerror or error}", file=path, remedy="check its permissions"

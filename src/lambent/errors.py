@@ -117,16 +117,19 @@ class OptionError(LambentError):
 class UnknownNameError(OptionError):
     """A name that is not known; the nearest known ones are suggested.
 
-    ``kind`` is what was asked for ("model", "role"), ``known`` the names there are.
+    ``kind`` is what was asked for ("model", "role"), ``known`` the names there are; ``owner``: what
+    has no such thing ("nlm", of a parameter).
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], *, file: object = None) -> None:
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], *, file: object = None, owner: str = ""
+    ) -> None:
         known = sorted(known)
         near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.5)
         listing = ", ".join(known) if known else "none"
         remedy = f"did you mean {' or '.join(near)}? " if near else ""
         super().__init__(
-            f"there is no {kind} '{name}'",
+            f"'{owner}' has no {kind} '{name}'" if owner else f"there is no {kind} '{name}'",
             file=file,
             remedy=f"{remedy}Known: {listing}.",
         )

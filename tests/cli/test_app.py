@@ -108,7 +108,7 @@ def test_ctrl_c_is_130(capsys, monkeypatch):
 
     monkeypatch.setattr("lambent.cli.models._card", interrupt)
     assert main(["models", "oidn"]) == 130
-    assert "nothing half-written" in capsys.readouterr().err
+    assert "every file that was written is whole" in capsys.readouterr().err
 
 
 def test_exit_codes_are_those_of_the_help():

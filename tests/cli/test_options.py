@@ -122,10 +122,10 @@ def test_a_note_is_told_once_a_sequence_though_its_figures_differ(capsys):
                 "output": Path("a.exr"),
                 "repairs": (),
                 "seconds": {"total": 1.0},
-                "notes": (f"the denoised beauty holds {share}% less light than the noisy one",),
+                "notes": (f"the denoised beauty holds {share} % less light than the noisy one",),
             }
         )
         _print_line(result, told)
     lines = capsys.readouterr().out.splitlines()
-    assert "3.4% less light" in lines[0]
+    assert "3.4 % less light" in lines[0]
     assert "light" not in lines[1]

@@ -13,10 +13,11 @@ import pytest
 
 import lambent
 from lambent.denoise.auto import choose
-from lambent.denoise.files import STAMP, denoise_file
+from lambent.denoise.files import denoise_file
 from lambent.denoise.sequence import denoise_sequence
 from lambent.filters.denoiser import create
 from lambent.frame.role import Role
+from lambent.frame.stamp import STAMP
 
 SIZE = (96, 128)
 

@@ -196,6 +196,17 @@ def test_appleseed() -> None:
     }
 
 
+def test_lambents_own_renders() -> None:
+    """The header tells; what is of the first hit has no role, and says why."""
+    channels = [*rgb(""), *rgb("albedo"), *rgb("first_albedo"), *rgb("first_albedo_variance")]
+    found = identify(exr(*channels, header={"lambent_render": "{}"}))
+    assert found.dialect == "lambent"
+    assert roles(found)["albedo"] == "albedo"
+    reasons = [layer.why for layer in found.layers if layer.name.startswith("first_")]
+    assert len(reasons) == 2
+    assert all("of the first hit" in why for why in reasons)
+
+
 def test_falcor() -> None:
     """Pass and output; the guide normal is the one made for denoising."""
     channels = [*rgb("PathTracer.color"), *rgb("GBufferRT.posW"), *rgb("GBufferRT.normW")]

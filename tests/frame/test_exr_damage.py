@@ -551,3 +551,11 @@ def test_fuzz_sound_files(
         return
     content = exr_samples.content(compression, tiled=tiled, channels=pixels, origin=origin)
     assert worker.ask(content).startswith(("ok", "refused: LayerError"))
+
+
+def test_a_head_alone_ends_too_early(tmp_path: Path) -> None:
+    whole = Path(__file__).parent.parent / "data" / "cycles_50_multilayer.exr"
+    head = tmp_path / "head.exr"
+    head.write_bytes(whole.read_bytes()[:100])
+    with pytest.raises(DamagedFileError, match="ends too early"):
+        decode(head)

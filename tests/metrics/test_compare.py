@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from lambent.errors import LayerError, OptionError, UnknownNameError
 from lambent.frame.exposure import auto_exposure
@@ -205,3 +206,12 @@ def test_metrics_are_named_singly_by_family_or_in_one_text(images):
         assert all(name in raised.value.remedy for name in METRICS)
     with pytest.raises(OptionError, match="no metric is named"):
         compare(r, noisy, " ,")
+
+
+def test_display_values_are_compared_as_they_are(tmp_path):
+    dark, bright = np.full((12, 12, 3), 40, np.uint8), np.full((12, 12, 3), 60, np.uint8)
+    for name, pixels in (("dark", dark), ("bright", bright)):
+        Image.fromarray(pixels).save(tmp_path / f"{name}.png")
+    found = compare(tmp_path / "dark.png", {"bright": tmp_path / "bright.png"}, "psnr")
+    assert found.exposure == 1
+    assert found["bright"].values["psnr"] == pytest.approx(20 * np.log10(255 / 20), abs=1e-3)

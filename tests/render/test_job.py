@@ -259,7 +259,7 @@ def test_broken_scenes_are_told(tmp_path, old, new, error, words):
 
 
 def test_missing_scenes_and_cameras_are_told(scene, tmp_path):
-    with pytest.raises(FileError, match="does not exist"):
+    with pytest.raises(FileError, match="there is no such file"):
         lambent.render(tmp_path / "no.xml")
     with pytest.raises(FileError, match="folder"):
         lambent.render(tmp_path)

@@ -1,6 +1,7 @@
 """The page of a training run."""
 
 import io
+import re
 
 import pytest
 from PIL import Image
@@ -40,3 +41,15 @@ def test_a_run_that_has_just_begun(running):
     page = training_page("ours", [], [], 1000, running=running)
     assert "0 of 1000" in page
     assert ("refresh" in page) is running
+
+
+def test_a_curve_over_decades_is_marked_at_powers_of_ten():
+    from lambent.report.curve import curve
+
+    drawn = curve({"residual": [(1, 0.37), (2, 0.02), (3, 4.1e-5)]})
+    assert re.findall(r'text-anchor="end">([0-9.e-]+)</text>', drawn) == [
+        "0.0001",
+        "0.001",
+        "0.01",
+        "0.1",
+    ]

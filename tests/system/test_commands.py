@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -389,3 +390,73 @@ def test_doctor_says_when_the_machine_is_slow(monkeypatch):
     check = doctor._oidn_speed(0.0)
     assert check.state == "note"
     assert check.remedy
+
+
+def test_a_gap_in_a_sequence_ends_with_the_code_of_a_missing_file(tmp_path, capsys):
+    for number in (1, 3):
+        renders.write(tmp_path / f"shot.{number:04d}.exr")
+    pattern = str(tmp_path / "shot.####.exr")
+    assert main(["denoise", pattern, "-o", str(tmp_path / "out"), *FAST]) == 2
+    assert "1 missing" in capsys.readouterr().err
+
+
+def test_dataset_alone_prints_its_help(capsys):
+    text = run(capsys, "dataset")
+    assert "Commands:" in text
+    assert "verify" in text
+
+
+def test_a_denoised_file_is_recognised_and_its_statistics_are_not_used(tmp_path, capsys):
+    arrays = renders.channels()
+    for name in ("variance", "half_a", "half_b"):
+        arrays |= {f"colour.{name}.{c}": arrays[c] for c in "RGB"}
+    noisy = renders.write(tmp_path / "noisy.exr", arrays)
+    assert run_json(capsys, "denoise", noisy, *FAST)["notes"] == []
+    clean = tmp_path / "noisy_clean.exr"
+    (note,) = run_json(capsys, "inspect", clean)["notes"]
+    assert "denoised by Lambent before (model oidn-fast)" in note
+    roles = {layer["name"]: layer["role"] for layer in run_json(capsys, "inspect", clean)["layers"]}
+    assert roles["colour.half_a"] == roles["colour.variance"] == "other"
+    assert note in run_json(capsys, "denoise", clean, *FAST)["notes"]
+    code = main(["denoise", str(clean), "--model", "nfor", "-o", str(tmp_path / "again.exr")])
+    assert code == 3, "the half buffers of the noisy picture were taken"
+
+
+def test_an_archive_of_lambent_is_named_as_one(tmp_path, capsys):
+    archive = tmp_path / "room.lambent"
+    with zipfile.ZipFile(archive, "w") as made:
+        made.writestr("card.json", "{}")
+    for command in ("denoise", "inspect"):
+        assert main([command, str(archive)]) == 2
+        text = capsys.readouterr().err
+        assert "is a solution or a model of Lambent, not a picture" in text
+        assert "room_clean" not in text
+    picture = renders.write(tmp_path / "room.exr")
+    assert main(["view", str(picture)]) == 2
+    assert "is not a Lambent solution, but an OpenEXR image" in capsys.readouterr().err
+    assert main(["view", str(tmp_path / "nope.lambent")]) == 2
+    assert "check the path" in capsys.readouterr().err
+
+
+def test_inspect_takes_one_file_and_says_so(noisy, capsys):
+    assert main(["inspect", str(noisy.with_name("shot.####.exr"))]) == 4
+    assert "inspect takes one file" in capsys.readouterr().err
+
+
+def test_the_noisy_original_is_not_offered_for_replacement(noisy, capsys):
+    assert main(["denoise", str(noisy), "-o", str(noisy)]) == 2
+    text = capsys.readouterr().err
+    assert "the output is the input itself" in text
+    assert "--overwrite" not in text
+
+
+def test_parameters_need_a_model_that_has_them(noisy, capsys):
+    assert main(["denoise", str(noisy), "--set", "radius=5"]) == 4
+    assert "name the model that has it" in capsys.readouterr().err
+    assert main(["denoise", str(noisy), "--model", "nlm", "--set", "radus=5"]) == 4
+    assert "'nlm' has no parameter 'radus'" in capsys.readouterr().err
+
+
+def test_a_missing_half_buffer_is_called_one(noisy, capsys):
+    assert main(["denoise", str(noisy), "--model", "nfor"]) == 3
+    assert "first half buffer of the beauty" in capsys.readouterr().err

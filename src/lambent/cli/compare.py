@@ -47,7 +47,9 @@ def compare(
             autocompletion=complete_metrics,
         ),
     ] = None,
-    report: Annotated[str | None, report_option("Write a page to compare by eye")] = None,
+    report: Annotated[
+        str | None, report_option("Write a page to compare by eye", "the first image")
+    ] = None,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -32,7 +32,6 @@ dataset = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     help=__doc__,
     epilog=EPILOG,
@@ -48,6 +47,12 @@ AssetsOption = Annotated[
     ),
 ]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A data set.")]
+
+
+@dataset.callback(invoke_without_command=True)
+def _without_command(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        say(*context.get_help().split("\n"))
 
 
 @dataset.command()

@@ -347,8 +347,7 @@ def _run_many(
     remark(", ".join(summary))
     if failed:
         return failed[0][1].exit_code
-    # Whoever names a range wants all of it: a script must see that frames were not there.
-    return FileError.exit_code if missing and frames is not None else 0
+    return FileError.exit_code if missing else 0  # a script must see that frames were not there
 
 
 def _by_reason(left_out: Mapping[Path, str]) -> dict[str, list[Path]]:
@@ -362,7 +361,7 @@ def _print_line(result: Result, told: set[str]) -> None:
     """One line a frame; a note is told once a sequence, though its figures differ in each frame."""
     new = [line for line in result.notes if _without_figures(line) not in told]
     told.update(map(_without_figures, new))
-    remarks = "".join(f"; {line}" for line in (*result.repairs, *new))
+    remarks = "".join(f"; {line.rstrip('.')}" for line in (*result.repairs, *new))
     say(f"{result.output}  {show_seconds(result.seconds['total'])}{remarks}")
 
 

@@ -39,13 +39,20 @@ def inspect(
     ],
     mapping: MapOption = None,
     spp: SppOption = None,
-    report: Annotated[str | None, report_option("Write a page of all layers")] = None,
+    report: Annotated[str | None, report_option("Write a page of all layers", "the file")] = None,
     overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Typer's view of the command; the module docstring is its help."""
+    from lambent.denoise.sequence import is_sequence
+    from lambent.errors import OptionError
     from lambent.frame.inspection import inspect_file
 
+    if not file.is_dir() and is_sequence(file):
+        raise OptionError(
+            f"{file} is a pattern, and inspect takes one file",
+            remedy="name one frame of the sequence",
+        )
     roles = pairs("--map", mapping) or None
     page = page_for(report, file.with_name(f"{file.stem}_inspection.html"))
     check_output(page, overwrite, [file])
@@ -88,7 +95,7 @@ def _print(found: Inspection) -> None:
     facts += [f"{found.spp} spp"] if found.spp else []
     facts += [f"views {', '.join(found.views)}"] if found.views else []
     say(f"{found.path}: {', '.join(facts)}")
-    dialect = "names of no renderer in particular" if found.dialect == "generic" else found.dialect
+    dialect = "common names" if found.dialect == "generic" else found.dialect
     _wrapped(f"  {dialect} ({found.dialect_why})", 2, width)
     for part in found.parts:
         x0, y0, x1, y1 = part.data_window
@@ -139,7 +146,7 @@ def _print_layers(layers: tuple[LayerReport, ...], parts: bool, views: bool, wid
         ]
         if trouble:
             say(" " * first + f"! {', '.join(trouble)} values")
-        if layer.why and layer.role.value != "other":
+        if layer.why and not layer.why.startswith("no table has a meaning"):
             _wrapped(" " * first + layer.why, first, width)
     if ids:
         _wrapped(f"{'id':<{first}}{', '.join(ids)} (never filtered)", first, width)

@@ -172,10 +172,10 @@ def _completing(choices: Iterable[str]) -> Callable[[str], list[tuple[str, str]]
     return lambda incomplete: [(n, w) for n, w in words.items() if n.startswith(incomplete)]
 
 
-def report_option(what: str) -> Any:
+def report_option(what: str, beside: str = "the output") -> Any:
     """``--report [PAGE.html]``; ``what`` completes the help: "Write a page of before and after"."""
     return typer.Option(
-        "--report", metavar="[PAGE.html]", help=f"{what}; without a name, beside the output."
+        "--report", metavar="[PAGE.html]", help=f"{what}; without a name, beside {beside}."
     )
 
 

@@ -75,7 +75,7 @@ def say_interrupted() -> None:
     with contextlib.suppress(OSError):
         from lambent.cli.terminal import remark
 
-        remark("interrupted: nothing half-written is left behind")
+        remark("interrupted: every file that was written is whole")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

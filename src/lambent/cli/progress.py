@@ -117,7 +117,7 @@ class Progress:
         left = self.seconds_left()
         if left is None:
             return f"{show_seconds(time.monotonic() - self._start)} so far"
-        return f"{show_seconds(left)} left"
+        return f"{show_seconds(left)} left" if left >= 0.05 else ""
 
 
 def show_seconds(seconds: float) -> str:

@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from lambent.denoise.dncnn import is_display
 from lambent.denoise.learned import Lambent
 from lambent.device import Device
 from lambent.filters.denoiser import About, Denoiser, create
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.ldr import is_display
 from lambent.frame.noise import noise_of
 
 
@@ -65,8 +65,8 @@ class Auto(Denoiser):
 
     about: ClassVar[About] = About(
         name="auto",
-        title="The best one for the file at hand: lambent, lambent-oidn or oidn",
-        paper="docs/notes/denoiser",
+        title="The better of lambent and lambent-oidn for the file at hand; oidn for photographs",
+        paper="none: it chooses by the file",
         group="work",
         uses=Lambent.about.uses,
         cost="that of the model it takes",

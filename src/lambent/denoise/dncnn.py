@@ -19,10 +19,9 @@ from lambent.denoise import runtime
 from lambent.denoise.model_file import ModelFile, loaded_model
 from lambent.errors import LayerError
 from lambent.filters.denoiser import About, Denoiser
-from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
-from lambent.frame.ldr import Facts
+from lambent.frame.ldr import exposure_of, is_display
 from lambent.frame.role import Role
 from lambent.frame.tonemap import inverse_srgb, srgb
 
@@ -54,7 +53,7 @@ class DnCNN(Denoiser):
 
     def fitted(self, frame: Frame) -> DnCNN:
         """A copy that shows tiles at the exposure of the whole frame."""
-        return dataclasses.replace(self, _exposure=_exposure_of(frame))
+        return dataclasses.replace(self, _exposure=exposure_of(frame))
 
     def model(self) -> ModelFile:
         """The model file. Raises `FileError` and `DamagedFileError`."""
@@ -109,7 +108,7 @@ class DnCNN(Denoiser):
     def _clean(self, frame: Frame, image: FloatImage, is_alpha: bool) -> FloatImage:
         if is_alpha:
             return self.clean_display(image).astype(np.float32)
-        exposure = _exposure_of(frame) if self._exposure is None else self._exposure
+        exposure = exposure_of(frame) if self._exposure is None else self._exposure
         linear = image * np.float32(exposure)
         within = np.clip(linear, 0, 1)
         clean = inverse_srgb(np.clip(self.clean_display(srgb(within)), 0, 1))
@@ -121,17 +120,3 @@ class DnCNN(Denoiser):
         with runtime.network(self.model(), shapes, "f32", self.threads) as network:
             ready = np.ascontiguousarray(planes[None], np.float32)
             return network.outputs(ready)[0][0].copy()
-
-
-def is_display(frame: Frame) -> bool:
-    """Whether the frame comes from a picture of display values, of 16 bits at most."""
-    facts = frame.origin.payload if frame.origin is not None else None
-    return isinstance(facts, Facts) and not facts.floating
-
-
-# ------------------------------------------------------------------- private
-
-
-def _exposure_of(frame: Frame) -> float:
-    """1 for display pictures, else that of the tone map."""
-    return 1.0 if is_display(frame) else auto_exposure(frame.colour)

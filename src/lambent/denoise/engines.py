@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 from lambent.denoise.model_file import ModelFile
 from lambent.denoise.prepare import Given, Whole
+from lambent.device import choose_device
 from lambent.errors import EngineError, LambentError
 from lambent.frame.layer import FloatImage
 from lambent.registry import Registry
+from lambent.startup import has_cuda
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,8 @@ def engine(device: str) -> Engine:
     try:
         found: Engine = ENGINES[name]
     except LambentError as error:  # not there, or what it needs is not
+        if name == "cuda":
+            choose_device(name, has_cuda)  # without a GPU, no package would help
         raise EngineError(
             f"no engine for --device {device} can be loaded: {error.__cause__ or error.message}",
             remedy="pip install 'lambent[train]', or --device cpu",

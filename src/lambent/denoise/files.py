@@ -30,16 +30,11 @@ from lambent.denoise.pipeline import (
 )
 from lambent.errors import FileError, OutputError
 from lambent.frame.atomic import check_target, refuse_stdout
-from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.opening import exists, refuse_special, unreadable
 from lambent.frame.role import Role, Stat
+from lambent.frame.stamp import CHOSEN, STAMP
 from lambent.progress import Progress
-
-#: The EXR attribute that holds the settings a file was made with.
-STAMP = "lambent:settings"
-#: Its entry for the model that was chosen for the file; the other entries are what was asked for.
-CHOSEN = "chosen"
 
 #: What the default output's name has more than the input's.
 SUFFIX = "_clean"
@@ -299,11 +294,12 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
 
     A directory of which only the last part is missing is no fault: `save` will make it.
     """
-    from lambent.frame.files import check_ending
+    from lambent.frame.files import check_ending, check_source
 
     if not exists(source):
         raise unreadable(source, FileNotFoundError())
     refuse_special(source)
+    check_source(source)
     if os.path.isdir(output):
         raise OutputError(
             "the output is a directory",
@@ -316,10 +312,14 @@ def check_output(source: Path, output: Path, overwrite: bool) -> None:
         check_target(parent)  # whether the directory can be made
         return
     if not overwrite and os.path.exists(output):
+        if output.samefile(source):
+            raise OutputError(
+                "the output is the input itself",
+                file=output,
+                remedy="write elsewhere with -o NAME, and keep the noisy original",
+            )
         raise OutputError(
-            "the output is the input itself"
-            if output.samefile(source)
-            else "this file exists already",
+            "exists already",
             file=output,
             remedy="write elsewhere with -o NAME, or allow it with --overwrite",
         )
@@ -377,9 +377,10 @@ def _outlined(frame: Frame, settings: Settings) -> dict[str, Any]:
 def write_preview(path: Path, before: Frame, after: Frame) -> Path:
     """A PNG with the input on the left and the result on the right, at one exposure."""
     from lambent.frame.atomic import atomic
+    from lambent.frame.ldr import exposure_of
     from lambent.frame.tonemap import to_png
 
-    exposure = auto_exposure(after.colour)
+    exposure = exposure_of(after)
     white = np.full((after.height, max(2, after.width // 200), 3), 1 / exposure, np.float32)
     pair = np.concatenate([before.colour, white, after.colour], axis=1)
     with atomic(path, overwrite=True) as file:

@@ -190,7 +190,7 @@ class LambentBest(Lambent):
         name="lambent-best",
         title="Lambent's own network, with two looks",
         cost="a U-Net, 2 x 98 kMAC a pixel, once for all layers; 34 taps on five scales",
-        when="final frames",
+        when="final frames with splatted pixel filters",
     )
     views: Literal[1, 2] = 2
 

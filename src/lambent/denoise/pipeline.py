@@ -131,10 +131,10 @@ class Settings:
         check_device(device)
         if threads is not None and threads < 1:
             raise OptionError(
-                f"{threads} threads make no sense", remedy="give 1 or more, or leave it out for all"
+                f"threads must be 1 or more, not {threads}", remedy="leave it out for all of them"
             )
         if spp is not None and spp < 1:
-            raise OptionError(f"{spp} samples per pixel make no sense", remedy="give 1 or more")
+            raise OptionError(f"samples per pixel must be 1 or more, not {spp}")
         chosen = {role: str(name) for role, name in (roles or {}).items()}
         if albedo is not None:
             chosen["albedo"] = str(albedo)
@@ -526,7 +526,7 @@ def _light_note(before: FloatImage, after: FloatImage) -> tuple[str, ...]:
     if abs(change) < LIGHT_CHANGE:
         return ()
     word = "less" if change < 0 else "more"
-    return (f"the denoised beauty holds {abs(change):.1%} {word} light than the noisy one",)
+    return (f"the denoised beauty holds {100 * abs(change):.1f} % {word} light than the noisy one",)
 
 
 def _any_light(layers: list[Layer]) -> bool:
@@ -535,7 +535,7 @@ def _any_light(layers: list[Layer]) -> bool:
 
 def _share(where: Mask) -> str:
     share = float(where.mean())
-    return f"{share:.0%}" if share >= 0.01 else f"{share:.2%}"
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.2f} %"
 
 
 def _finish(

@@ -23,9 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from lambent.denoise.collisions import Companions, check_collisions, identity
 from lambent.denoise.files import (
-    CHOSEN,
     PREVIEW_SUFFIX,
-    STAMP,
     SUFFIX,
     Loaded,
     Processed,
@@ -43,8 +41,8 @@ from lambent.errors import FileError, LambentError, OutputError
 from lambent.frame.atomic import refuse_stdout
 from lambent.frame.files import ENDINGS
 from lambent.frame.opening import exists, refuse_special, unreadable
+from lambent.frame.stamp import CHOSEN, stamp_in
 from lambent.progress import Progress
-from lambent.settings import parse_json
 
 if TYPE_CHECKING:
     from lambent.frame.sequence import Sequence as FrameSequence
@@ -194,11 +192,9 @@ def read_stamp(path: Path) -> dict[str, Any] | None:
 
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            text = file.header(0).get(STAMP)
-        found = parse_json(text) if text else None
+            return stamp_in(file.header(0))
     except (RuntimeError, ValueError, OSError, IndexError):
         return None
-    return found if isinstance(found, dict) else None
 
 
 def sort_out(

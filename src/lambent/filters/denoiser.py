@@ -285,7 +285,12 @@ def create(model: str, **options: Any) -> Denoiser:
     for name, value in options.items():
         key = name.replace("-", "_")
         if key not in known:
-            raise UnknownNameError(f"parameter of '{model}'", name, known)
+            if model == DEFAULT_MODEL:
+                raise OptionError(
+                    f"'{model}' has no parameter '{name}'",
+                    remedy="name the model that has it: --model nlm, or model='nlm'",
+                )
+            raise UnknownNameError("parameter", name, known, owner=model)
         values[key] = _sound(model, key, _convert(model, key, value, known[key][0]))
     denoiser = kind(**values)
     assert isinstance(denoiser, Denoiser)

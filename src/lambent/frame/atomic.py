@@ -18,6 +18,9 @@ from typing import BinaryIO
 
 from lambent.errors import OutputError
 
+#: How to have a file replaced, on the command line and in Python.
+OVERWRITE = "allow it with --overwrite (in Python: overwrite=True), or name another file"
+
 _REMEDIES = {
     errno.ENOSPC: "make room on the disk, or write elsewhere with -o",
     errno.EDQUOT: "your quota on this disk is used up; write elsewhere with -o",
@@ -69,7 +72,7 @@ def check_target(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
             raise OutputError(
                 "exists already",
                 file=path,
-                remedy="allow it with --overwrite, or name another file",
+                remedy=OVERWRITE,
             )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise OutputError(
@@ -114,9 +117,7 @@ def atomic(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Bi
             raise
         _sync_folder(target.parent)
     except FileExistsError:
-        raise OutputError(
-            "exists already", file=path, remedy="allow it with --overwrite, or name another file"
-        ) from None
+        raise OutputError("exists already", file=path, remedy=OVERWRITE) from None
     except OSError as error:
         raise _unwritable(path, error) from error
 

@@ -113,7 +113,7 @@ def _reader(spp: int | None) -> Reader:
 
 def _check_spp(spp: int | None) -> None:
     if spp is not None and (isinstance(spp, bool) or not 1 <= spp < 10**9):
-        raise OptionError(f"{spp} samples per pixel make no sense", remedy="give 1 or more")
+        raise OptionError(f"samples per pixel must be 1 or more, not {spp}")
 
 
 def write(
@@ -295,12 +295,18 @@ def _kind(path: Path) -> str:
     """The kind of a file by its first bytes. Raises `FileError` for what Lambent cannot read."""
     descriptor = open_file(path)
     try:
-        start = os.pread(descriptor, 16, 0)
+        start = os.pread(descriptor, 64, 0)
     finally:
         os.close(descriptor)
     if not start:
         raise FileError("is empty", file=path, remedy="copy or render it again")
     found = kind_of(start)
+    if found is not None and found[0] == "lambent":
+        raise FileError(
+            f"is {found[1]}, not a picture",
+            file=path,
+            remedy="look at a solution with 'lambent view', take a model with --model",
+        )
     if found is None and path.suffix.lower() == ".exr":
         return "exr"  # its reader says what is wrong with it
     if found is None or found[0] not in READABLE:
@@ -311,6 +317,12 @@ def _kind(path: Path) -> str:
             remedy="Lambent reads EXR, PNG, JPEG, TIFF, Radiance HDR and PFM",
         )
     return found[0]
+
+
+def check_source(path: Path) -> None:
+    """Raise `FileError` for a file that neither its name nor its first bytes call a picture."""
+    if path.suffix.lower() not in ENDINGS:
+        _kind(path)
 
 
 def check_ending(path: str | os.PathLike[str]) -> None:

@@ -24,6 +24,15 @@ Key = tuple[Role, Stat]
 NAMED_ROLES = frozenset({Role.LIGHTING, Role.ID, Role.OTHER})
 
 
+#: What stands before a role's title for its other statistics.
+_STATS = {
+    Stat.MEAN: "",
+    Stat.VARIANCE: "variance of the ",
+    Stat.HALF_A: "first half buffer of the ",
+    Stat.HALF_B: "second half buffer of the ",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One picture with everything its renderer told about it. Frozen: changes make a new one.
@@ -170,7 +179,7 @@ class Frame:
         choice = "LAYER (or FILE.exr)" if INFO[role].guide else "LAYER"
         have = ", ".join(sorted({layer.name for layer in self.all_layers()})) or "nothing"
         return LayerError(
-            f"no layer for '{name}' ({INFO[role].title}) was found",
+            f"no layer for '{name}' ({_STATS[stat]}{INFO[role].title}) was found",
             file=self.path,
             remedy=f"name one yourself: --map {name}={choice}. The file has: {have}.",
         )

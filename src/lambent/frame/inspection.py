@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from lambent.frame.dialects.images import shown
 from lambent.frame.frame import Frame
 from lambent.frame.layer import Layer
+from lambent.frame.luma import to_rgb, weights
 from lambent.frame.role import Role, Space, Stat
 from lambent.frame.sums import LayerSum, layer_sums
 from lambent.frame.suspicion import LOSSY, Suspicion, suspicions
@@ -140,7 +141,7 @@ def inspect_file(
     # Measured first: this decodes every part once and keeps it, so that frames only copy.
     layers = tuple(_layer(exr, layer) for layer in identified.layers)
     layers += tuple(_of_layer(layer) for layer in main.all_layers() if is_guide(layer))
-    found = [s for view, frame in frames.items() for s in _seen(frame, view, main.view)]
+    found = _once([s for view, frame in frames.items() for s in _seen(frame, view, main.view)])
     window = exr.parts[_first(identified).part].data_window if identified.layers else None
     return Inspection(
         path=str(path),
@@ -184,8 +185,12 @@ def _part(part: ExrPart) -> PartReport:
 
 
 def _layer(exr: ExrFile, found: Found) -> LayerReport:
+    from lambent.frame.exr.frame import is_luma
+
     part = exr.parts[found.part]
     planes = [exr.parts[index].channels[name].data for index, name in found.channels]
+    if is_luma(found):  # chroma is negative as a rule; the colour that it stands for counts
+        planes = [to_rgb(planes[0], planes[1], planes[2], weights(part.header))]
     return LayerReport(
         name=found.name,
         role=found.role,
@@ -241,6 +246,12 @@ def _seen(frame: Frame, view: str, main: str) -> list[Suspicion]:
     return [
         dataclasses.replace(one, explanation=f"View '{view}': {one.explanation}") for one in found
     ]
+
+
+def _once(found: list[Suspicion]) -> list[Suspicion]:
+    """All of them, but the want of guides of the first view only: its advice is for the file."""
+    first = next((one for one in found if one.name == "no guides"), None)
+    return [one for one in found if one.name != "no guides" or one is first]
 
 
 def _lossy(exr: ExrFile, identified: Identified) -> list[Suspicion]:

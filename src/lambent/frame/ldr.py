@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from lambent.errors import DamagedFileError, FileError
 from lambent.frame import exif
 from lambent.frame.atomic import atomic
+from lambent.frame.exposure import auto_exposure
+from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage
 from lambent.frame.limits import check_declared
 from lambent.frame.magic import kind_of
@@ -55,6 +57,17 @@ class Picture:
     alpha: FloatImage | None
     facts: Facts
     notes: tuple[str, ...] = ()
+
+
+def is_display(frame: Frame) -> bool:
+    """Whether the frame comes from a picture of display values, of 16 bits at most."""
+    facts = frame.origin.payload if frame.origin is not None else None
+    return isinstance(facts, Facts) and not facts.floating
+
+
+def exposure_of(frame: Frame) -> float:
+    """The exposure at which a frame is shown: 1 for display values, else the automatic one."""
+    return 1.0 if is_display(frame) else auto_exposure(frame.colour)
 
 
 def read_image(path: str | os.PathLike[str]) -> Picture:

@@ -42,12 +42,25 @@ def begins_as(path: Path, kind: str) -> bool:
     return found is not None and found[0] == kind
 
 
+def kind_at(path: Path) -> str:
+    """What a file is, in words ("a PNG image"); "" where it cannot be told."""
+    try:
+        with path.open("rb") as handle:
+            found = kind_of(handle.read(64))
+    except OSError:
+        return ""
+    return found[1] if found is not None else ""
+
+
 def kind_of(start: bytes) -> tuple[str, str] | None:
-    """``("png", "a PNG image")`` from a file's first bytes (16 suffice), or None."""
+    """``("png", "a PNG image")`` from a file's first bytes (16 suffice, 39 for
+    Lambent's own archives), or None."""
     if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
         return "webp", "a WebP image"
     if start[4:8] == b"ftyp":
         return "mp4", "a video or HEIF image"
+    if start.startswith(b"PK\x03\x04") and start[30:39] == b"card.json":  # the first member's name
+        return "lambent", "a solution or a model of Lambent"
     for magic, kind, words in _MAGIC:
         if start.startswith(magic):
             return kind, words

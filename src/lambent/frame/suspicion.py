@@ -14,6 +14,7 @@ import numpy as np
 
 from lambent.frame.frame import Frame
 from lambent.frame.layer import FloatImage, Layer
+from lambent.frame.ldr import is_display
 from lambent.frame.misses import miss_mask
 from lambent.frame.noise import SMOOTH, SPLATTED, Noise, noise_in, noise_of
 from lambent.frame.repair import HALF_MAX, decoded_normals
@@ -122,7 +123,7 @@ def already_denoised(frame: Frame, noise: Noise | None) -> Suspicion | None:
 def tone_mapped(frame: Frame, noise: Noise | None) -> Suspicion | None:
     """Values cut at 1, or on the grid of an 8-bit image."""
     beauty = frame.layer(Role.COLOUR)
-    if beauty is None or beauty.data.size < 3000 or not _lit(frame):
+    if beauty is None or beauty.data.size < 3000 or not _lit(frame) or is_display(frame):
         return None
     image = beauty.data
     high = float(np.nanmax(image))
@@ -204,6 +205,8 @@ def constant_alpha(frame: Frame, noise: Noise | None) -> Suspicion | None:
 def no_guides(frame: Frame, noise: Noise | None) -> Suspicion | None:
     """Colour only."""
     if not frame.has(Role.COLOUR) or frame.has(Role.ALBEDO) or frame.has(Role.NORMAL):
+        return None
+    if is_display(frame):  # a photograph, or a picture for the screen, has none
         return None
     return Suspicion(
         "no guides",

@@ -20,6 +20,7 @@ import numpy as np
 from lambent.errors import LayerError, OptionError
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
+from lambent.frame.ldr import is_display
 from lambent.metrics.align import Cut, aligned
 from lambent.metrics.metric import METRICS, Metric, chosen
 from lambent.metrics.pair import FloatArray, Pair, as_rgb
@@ -194,9 +195,9 @@ def compare(
     nothing is measured and maps show the change from the first image. ``images``: the same by
     name, one image alone, or an iterable of paths (named by their stems). ``metrics``: names from
     `METRICS` or of families of them, ``"relmse,flip"`` say (default: all). ``exposure``: the factor
-    before the tone map (default: the reference's automatic one). ``reference_variance``: see
-    `lambent.metrics.relmse`. ``details``: by name of image (or "reference"), facts to show beside
-    it, such as ``{"model": "oidn", "seconds": 0.9}``.
+    before the tone map (default: the reference's automatic one; 1 where it holds display values).
+    ``reference_variance``: see `lambent.metrics.relmse`. ``details``: by name of image (or
+    "reference"), facts to show beside it, such as ``{"model": "oidn", "seconds": 0.9}``.
     Images are compared where all have pixels, by their data windows (`lambent.metrics.align`).
     Raises `LayerError` naming both images where sizes or places differ, `UnknownNameError` for an
     unknown metric, and what `lambent.frame.files.read` raises.
@@ -219,7 +220,10 @@ def compare(
         reference_variance = _cut(reference_variance, cuts[0], truth)
     pictures = tuple(every if truth is None else every[1:])
     base = pictures[0] if truth is None else truth
-    factor = auto_exposure(base.image) if exposure is None else float(exposure)
+    if exposure is None:
+        factor = 1.0 if base.display else auto_exposure(base.image)
+    else:
+        factor = float(exposure)
     if not (math.isfinite(factor) and factor > 0):
         raise OptionError(f"the exposure is {factor}", remedy="give a factor above 0")
     pairs = {
@@ -300,7 +304,16 @@ def _picture(name: str, thing: Thing, details: Mapping[str, Any]) -> Picture:
     if isinstance(thing, Frame):
         image = as_rgb(thing.colour, thing.path or f"image '{name}'")
         path = thing.path or path
-        return Picture(name, image, path, thing.spp, dict(details), thing.notes, thing.windows)
+        return Picture(
+            name,
+            image,
+            path,
+            thing.spp,
+            dict(details),
+            thing.notes,
+            thing.windows,
+            is_display(thing),
+        )
     try:
         image = as_rgb(thing, f"image '{name}'")
     except (TypeError, ValueError) as error:

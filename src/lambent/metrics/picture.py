@@ -20,7 +20,8 @@ class Picture:
 
     ``image``: ``(H, W, 3)`` float32 linear radiance, as read (NaN and all). ``details``: what is
     known beside the pixels ("model", "seconds", …), for tables. ``notes``: remarks of the reader.
-    ``windows``: where the pixels lie in the whole picture, None where nobody tells.
+    ``windows``: where the pixels lie in the whole picture, None where nobody tells. ``display``:
+    whether it was read from display values, which are shown as they are.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Picture:
     details: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     windows: Windows | None = None
+    display: bool = False
 
     @property
     def label(self) -> str:

@@ -172,7 +172,7 @@ def _check_spectra(mi: Any, named: Mapping[str, str], file: object) -> None:
 
 def _from_file(mi: Any, path: Path, parameters: Mapping[str, Any]) -> Any:
     if not path.exists():
-        raise FileError("does not exist", file=path, remedy="check the path")
+        raise FileError("there is no such file", file=path, remedy="check the path")
     if path.is_dir():
         raise FileError("is a folder", file=path, remedy=f"name the scene: {path / 'scene.xml'}")
     try:

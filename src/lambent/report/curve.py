@@ -26,8 +26,7 @@ def curve(curves: Mapping[str, Sequence[tuple[float, float]]], across: str = "st
         )
 
     marks = []
-    for k in range(5):
-        y = y0 + (y1 - y0) * k / 4
+    for y in _levels(y0, y1):
         _, v = at(0, y)
         marks.append(
             f'<line x1="{left}" x2="{width - right}" y1="{v:.1f}" y2="{v:.1f}" class="grid"/>'
@@ -55,3 +54,11 @@ def curve(curves: Mapping[str, Sequence[tuple[float, float]]], across: str = "st
         f'<svg class="curve" viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="{escape(", ".join(curves))} over {escape(across)}">{"".join(marks)}</svg>'
     )
+
+
+def _levels(low: float, high: float) -> list[float]:
+    """Where the lines go, as logarithms: powers of ten, or five even steps within one decade."""
+    powers = range(math.ceil(low), math.floor(high) + 1)
+    if len(powers) >= 2:
+        return [float(y) for y in powers[:: math.ceil(len(powers) / 6)]]
+    return [low + (high - low) * k / 4 for k in range(5)]

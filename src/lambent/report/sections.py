@@ -191,7 +191,8 @@ def image_table(pictures: list[Picture], names: Mapping[int, str]) -> str:
         facts = picture.statistics()
         cells = [escape(names[id(picture)])]
         if with_files:
-            cells.append(f'<td class="text">{escape(picture.path or "–")}</td>')
+            path = escape(picture.path or "–").replace("/", "/<wbr>")
+            cells.append(f'<td class="text file">{path}</td>')
         if with_spp:
             cells.append(escape(spp[id(picture)] or "–"))
         cells += [_detail(picture.details.get(key), key in texts) for key in keys]

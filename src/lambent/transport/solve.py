@@ -60,7 +60,7 @@ def solve(
         check_target(path, overwrite or resume)
         if resume:
             if not path.exists():
-                raise FileError("does not exist", file=path, remedy="leave --resume out")
+                raise FileError("there is no such file", file=path, remedy="leave --resume out")
             start = open_solution(path, method)
             parameters = {**start.parameters, **(parameters or {})}
     by: Method[Any] = METHODS[method or (start.method if start is not None else DEFAULT_METHOD)]

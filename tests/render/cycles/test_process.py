@@ -225,7 +225,7 @@ def test_what_cannot_start(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_blend(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="does not exist"):
+    with pytest.raises(FileError, match="there is no such file"):
         render_blend(tmp_path / "none.blend")
     with pytest.raises(FileError, match="directory"):
         render_blend(tmp_path)

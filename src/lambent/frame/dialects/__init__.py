@@ -27,7 +27,8 @@ from lambent.frame.dialects.matching import (
     settle,
 )
 from lambent.frame.dialects.table import Dialect, Found, Identified, Rule, misses
-from lambent.frame.role import Role, Stat
+from lambent.frame.role import INFO, Role, Stat
+from lambent.frame.stamp import model_of, stamp_in
 from lambent.registry import Registry
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ _HERE = "lambent.frame.dialects"
 DIALECTS = Registry(
     "dialect",
     {
+        "lambent": f"{_HERE}.lambent:LAMBENT",
         "blender": f"{_HERE}.blender:BLENDER",
         "mitsuba": f"{_HERE}.mitsuba:MITSUBA",
         "pbrt": f"{_HERE}.pbrt:PBRT",
@@ -97,13 +99,16 @@ def identify(
         mapped = {id(image) for _, _, image in wanted}
         matches = [replace(m, scope=scope) if id(m.image) in mapped else m for m in matches]
     layers_found, more = settle(matches, scope)
+    layers_found, stale = _without_stale(exr, layers_found, {(r, s) for r, s, _ in wanted})
     return Identified(
         dialect="generic" if dialect is None else dialect.name,
         why=why or "nothing in the file tells the renderer; layers go by common names",
         layers=tuple(layers_found),
         spp=told.get(scope),
         views=views_of(exr),
-        notes=tuple(dict.fromkeys([*_denoised(layers_found), *notes, *more, *_cie(layers_found)])),
+        notes=tuple(
+            dict.fromkeys([*stale, *_denoised(layers_found), *notes, *more, *_cie(layers_found)])
+        ),
     )
 
 
@@ -115,6 +120,33 @@ def _cryptomattes(exr: ExrFile) -> list[str]:
         if key.startswith("cryptomatte/") and key.endswith("/name") and value:
             names.append(value)
     return list(dict.fromkeys(names))
+
+
+def _without_stale(
+    exr: ExrFile, layers: list[Found], asked: set[tuple[Role, Stat]]
+) -> tuple[list[Found], list[str]]:
+    """The layers of a file that Lambent has denoised, and a remark.
+
+    Variances and half buffers of what was filtered are those of the noisy picture: they lose their
+    roles, unless the user asks for them.
+    """
+    stamps = [stamp for part in exr.parts if (stamp := stamp_in(part.header)) is not None]
+    model = model_of(stamps[0]) if stamps else ""
+    if not model:
+        return layers, []
+    only_beauty = stamps[0].get("passes") == "beauty"
+    kept, stale = [], []
+    for found in layers:
+        filtered = found.role is Role.COLOUR if only_beauty else INFO[found.role].radiance
+        if filtered and found.stat is not Stat.MEAN and (found.role, found.stat) not in asked:
+            stale.append(found.name)
+            why = f"{found.role.value}.{found.stat.value} of the picture before it was denoised"
+            found = replace(found, role=Role.OTHER, stat=Stat.MEAN, why=why)
+        kept.append(found)
+    tail = "; its variances and half buffers are those of the noisy picture and are not used"
+    return kept, [
+        f"The file was denoised by Lambent before (model {model}){tail if stale else ''}."
+    ]
 
 
 def _denoised(layers: list[Found]) -> list[str]:

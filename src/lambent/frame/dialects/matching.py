@@ -95,7 +95,8 @@ def recognise(
             for text in texts:
                 if compiled(pattern).match(text):
                     key, _, value = text.partition("=")
-                    return dialect, f"the header has {key} = {value[:60]}"
+                    text = "" if value.startswith("{") else f" = {value[:60]}"  # JSON: too long
+                    return dialect, f"the header has {key}{text}"
     best: tuple[int, Dialect, list[str]] | None = None
     names = list(dict.fromkeys(image.name for image in images))
     for dialect in dialects.values():

@@ -146,7 +146,7 @@ def check_blend(path: Path) -> tuple[int, int] | None:
     Raises `FileError` (missing, a folder), `DamagedFileError` (not a .blend).
     """
     if not path.exists():
-        raise FileError("does not exist", file=path, remedy="check the name")
+        raise FileError("there is no such file", file=path, remedy="check the path")
     if path.is_dir():
         raise FileError("is a directory", file=path, remedy="name a .blend in it")
     try:

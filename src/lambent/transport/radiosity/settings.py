@@ -47,14 +47,16 @@ class Settings:
         choices=("samples", "factors"), metavar="samples|factors",
     )  # fmt: skip
     tolerance: float = setting(
-        1e-6, "End at this residual, relative to the first light.", low=1e-16, high=0.999,
+        1e-6, "Stop at this residual, relative to the first light.", low=1e-16, high=0.999,
         metavar="X", resumed="anew",
     )  # fmt: skip
-    steps: int = setting(1000, "Most steps of the solver.", low=1, high=1e9, resumed="anew")
+    steps: int = setting(
+        1000, "The solver takes at most so many steps.", low=1, high=1e9, resumed="anew"
+    )
     seconds: float | None = setting(
         None, "Most time for the solver.", option="--time", metavar="TIME", resumed="anew"
     )
-    seed: int = setting(0, "Of the random numbers.")
+    seed: int = setting(0, "Seed of the random numbers.")
 
     def __post_init__(self) -> None:
         check_settings(self)
