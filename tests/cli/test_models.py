@@ -101,4 +101,4 @@ def test_a_file_that_is_no_model_is_refused_with_its_kind(capsys, tmp_path, monk
     assert "is a solution, not a model" in text
     assert "lambent view room.lambent" in text
     assert main(["models", "none.lambent"]) == FileError.exit_code
-    assert "no such model" in capsys.readouterr().err
+    assert "there is no such file" in capsys.readouterr().err

@@ -168,7 +168,7 @@ def test_wishes_that_cannot_be(capsys, scene, solved, tmp_path):
         (("solve", scene, "-o", tmp_path / "b.lambent", "--patch-size", "0"), 4, "above 0"),
         (("solve", scene, "-o", tmp_path / "b.lambent", "--patch-size", "1e-6"), 4, "GiB"),
         (("view", scene, "-o", tmp_path / "a.png"), 2, "not a Lambent solution"),
-        (("view", tmp_path / "none.lambent", "-o", tmp_path / "a.png"), 2, "no such solution"),
+        (("view", tmp_path / "none.lambent", "-o", tmp_path / "a.png"), 2, "there is no such file"),
     ):
         found, _, err = run(capsys, *args)
         assert (found, words in err) == (code, True), (args, err)

@@ -56,8 +56,9 @@ def test_the_entry_point_of_the_package_is_an_engine() -> None:
 
 
 def test_without_a_gpu_the_want_of_a_package_is_not_what_is_told(monkeypatch) -> None:
-    monkeypatch.setattr("lambent.denoise.engines.has_cuda", lambda: False)
-    monkeypatch.setitem(ENGINES._own, "cuda", "lambent.no_such_module:filtered")
+    here = importlib.import_module("lambent.denoise.engines")
+    monkeypatch.setattr(here, "has_cuda", lambda: False)
+    monkeypatch.setitem(ENGINES._plugins, "cuda", "lambent.no_such_module:filtered")
     monkeypatch.delitem(ENGINES._loaded, "cuda", raising=False)
     with pytest.raises(EngineError, match="no CUDA device"):
         engine("cuda")

@@ -224,7 +224,7 @@ def test_a_foreign_file_is_no_model(tmp_path):
         archive.writestr("a.txt", "b")
     with pytest.raises(FileError, match="is not a Lambent model"):
         model_file.read_model(tmp_path / "zip.lambent")
-    with pytest.raises(FileError, match="no such model"):
+    with pytest.raises(FileError, match="no such file"):
         model_file.read_model(tmp_path / "none.lambent")
     with pytest.raises(UnknownNameError, match="lambent"):
         model_file.find_model("lambnt")

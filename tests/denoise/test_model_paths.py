@@ -63,7 +63,7 @@ def test_a_solution_is_refused_with_its_command(tmp_path, noisy: Frame, capsys) 
 
 
 def test_a_missing_file_and_a_strange_task_are_named(tmp_path) -> None:
-    with pytest.raises(FileError, match="no such model"):
+    with pytest.raises(FileError, match="no such file"):
         as_denoiser(str(tmp_path / "none.lambent"), {})
     model = read_model(shipped()["kpcn"])
     card = {k: v for k, v in model.card.items() if k not in ("kind", "format", "sha256")}

@@ -460,3 +460,14 @@ def test_parameters_need_a_model_that_has_them(noisy, capsys):
 def test_a_missing_half_buffer_is_called_one(noisy, capsys):
     assert main(["denoise", str(noisy), "--model", "nfor"]) == 3
     assert "first half buffer of the beauty" in capsys.readouterr().err
+
+
+def test_the_page_of_a_comparison_stands_beside_the_first_image(capsys):
+    assert "beside the first image" in " ".join(run(capsys, "compare", "--help").split())
+
+
+def test_an_output_that_is_there_names_both_ways_to_replace_it(noisy):
+    import lambent
+
+    with pytest.raises(lambent.LambentError, match=r"--overwrite \(in Python: overwrite=True\)"):
+        lambent.write(noisy, lambent.read(noisy))

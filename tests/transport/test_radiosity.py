@@ -263,7 +263,7 @@ def test_a_file_of_another_scene_or_a_damaged_one_is_refused(tmp_path):
     broken.write_text("no archive")
     with pytest.raises(FileError, match="not a Lambent solution"):
         lambent.open_solution(broken)
-    with pytest.raises(FileError, match="no such solution"):
+    with pytest.raises(FileError, match="no such file"):
         lambent.open_solution(tmp_path / "nowhere.lambent")
 
 

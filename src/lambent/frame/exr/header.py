@@ -459,7 +459,7 @@ def _header(cursor: _Cursor, version: int, index: int) -> PartHeader:
         kind = text_of(cursor.text())
         (size,) = struct.unpack("<i", cursor.take(4))
         if not 0 <= size <= container.size:
-            early = "the file ends too early: " if size > 0 else ""
+            early = "the file ends in the middle of its header: " if size > 0 else ""
             container.damaged(
                 f"{early}the attribute '{text_of(raw_name)}' has a size of {size} bytes"
             )
