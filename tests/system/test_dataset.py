@@ -179,7 +179,7 @@ def test_the_recipes_that_come_along_are_sound(monkeypatch):
 
     found = {}
     for path in sorted((ROOT / "recipes").glob("*.toml")):
-        if "LAMBENT_SCENES" not in path.read_text():
+        if "LAMBENT_SCENES" not in path.read_text() and path.stem != "sets":
             found[path.stem] = load_recipe(path)
     assert {"mitsuba", "cycles", "small"} <= set(found)
     assert found["mitsuba"].count >= 4000

@@ -13,6 +13,8 @@ from typing import Any
 STAMP = "lambent:settings"
 #: Its entry for the model that was chosen for the file; the other entries are what was asked for.
 CHOSEN = "chosen"
+#: What a note on a file with a stamp says of it.
+DENOISED = "was denoised by Lambent before"
 
 
 def stamp_in(header: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -21,6 +21,7 @@ from lambent.errors import LayerError, OptionError
 from lambent.frame.exposure import auto_exposure
 from lambent.frame.frame import Frame
 from lambent.frame.ldr import is_display
+from lambent.frame.stamp import DENOISED
 from lambent.metrics.align import Cut, aligned
 from lambent.metrics.metric import METRICS, Metric, chosen
 from lambent.metrics.pair import FloatArray, Pair, as_rgb
@@ -310,7 +311,7 @@ def _picture(name: str, thing: Thing, details: Mapping[str, Any]) -> Picture:
             path,
             thing.spp,
             dict(details),
-            thing.notes,
+            tuple(note for note in thing.notes if DENOISED not in note),  # as one would expect
             thing.windows,
             is_display(thing),
         )

@@ -28,7 +28,7 @@ from lambent.frame.dialects.matching import (
 )
 from lambent.frame.dialects.table import Dialect, Found, Identified, Rule, misses
 from lambent.frame.role import INFO, Role, Stat
-from lambent.frame.stamp import model_of, stamp_in
+from lambent.frame.stamp import DENOISED, model_of, stamp_in
 from lambent.registry import Registry
 
 if TYPE_CHECKING:
@@ -144,9 +144,7 @@ def _without_stale(
             found = replace(found, role=Role.OTHER, stat=Stat.MEAN, why=why)
         kept.append(found)
     tail = "; its variances and half buffers are those of the noisy picture and are not used"
-    return kept, [
-        f"The file was denoised by Lambent before (model {model}){tail if stale else ''}."
-    ]
+    return kept, [f"The file {DENOISED} (model {model}){tail if stale else ''}."]
 
 
 def _denoised(layers: list[Found]) -> list[str]:
